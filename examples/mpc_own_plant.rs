@@ -25,7 +25,7 @@ impl Plant for WeakActuator<'_> {
     fn apply(&mut self, command: &Command) -> Result<(), StepError> {
         let steps = ((command.end - command.start) / self.step).round() as usize;
         let at = |k: usize| {
-            let mut wrenches = vec![Wrench::default(); command.nodes.len()];
+            let mut wrenches = vec![Wrench::default(); command.nodes().len()];
             command.at(command.start + k as f64 * self.step, &mut wrenches);
             for wrench in &mut wrenches {
                 wrench.force *= 0.9;
@@ -34,7 +34,7 @@ impl Plant for WeakActuator<'_> {
         };
         for k in 0..steps {
             let [now, next] = [at(k), at(k + 1)];
-            let on = |wrenches| NodeWrenches::on(&command.nodes, wrenches);
+            let on = |wrenches| NodeWrenches::on(command.nodes(), wrenches);
             self.stepper.advance([on(&now), on(&next)])?;
         }
         Ok(())

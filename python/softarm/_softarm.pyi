@@ -189,8 +189,8 @@ class Controller:
         rotations: npt.ArrayLike | None = None,
         velocities: npt.ArrayLike | None = None,
         angular_velocities: npt.ArrayLike | None = None,
-        more: str | None = None,
-    ) -> str: ...
+        more: dict[str, Any] | None = None,
+    ) -> tuple[list[dict[str, Any]], dict[str, Any]]: ...
 
 @final
 class Rollout:

@@ -28,18 +28,20 @@ class State(NamedTuple):
 class Command:
     """A command of the controller, which acts from `start` to `end` (s), linear in between.
 
-    `wrenches` maps the place of a node on the arm (0 at the base to 1) to `(from, to)`, each `(6,)`: force in N, spatial, and moment in N m,
+    `controls` maps the name of every control to its values `(from, to)`: whole ones, such as a tension with its pretension, and for a component of a
+    wrench `tip force x`. What they do to an arm is in two other forms as well: `wrenches` maps the place of a node on the arm (0 at the base to 1) to `(from, to)`, each `(6,)`: force in N, spatial, and moment in N m,
     in the frame of the node. `efforts` maps the name of an actuator to `(from, to)` in its unit. `fallback` is None, or the cause and action
     of a command that the controller did not compute, and `refused` has what the measurement had wrong. `answer` has all fields of
     `docs/serving.md`.
     """
 
-    __slots__ = ("answer", "refused", "_places")
+    __slots__ = ("answer", "refused", "_places", "_names")
 
-    def __init__(self, answer: dict[str, Any], refused: list[dict[str, Any]], places: Sequence[float]):
+    def __init__(self, answer: dict[str, Any], refused: list[dict[str, Any]], places: Sequence[float], names: Sequence[str]):
         self.answer = answer
         self.refused = refused
         self._places = places
+        self._names = names
 
     @property
     def start(self) -> float:
@@ -48,6 +50,10 @@ class Command:
     @property
     def end(self) -> float:
         return self.answer["to_s"]
+
+    @property
+    def controls(self) -> dict[str, tuple[float, float]]:
+        return dict(zip(self._names, zip(self.answer["controls_from"], self.answer["controls_to"])))
 
     @property
     def wrenches(self) -> dict[float, tuple[np.ndarray, np.ndarray]]:
@@ -65,6 +71,12 @@ class Command:
 
     def _part(self, time: float) -> float:
         return min(max((time - self.start) / (self.end - self.start), 0.0), 1.0)
+
+    def controls_at(self, time: float) -> np.ndarray:
+        """Returns the values of all controls at a time in s, (m,), in the order of `Controller.controls`; after its end a command holds its last ones."""
+        part = self._part(time)
+        begin, end = np.array(self.answer["controls_from"]), np.array(self.answer["controls_to"])
+        return begin + (end - begin) * part
 
     def wrenches_at(self, time: float) -> dict[float, np.ndarray]:
         """Returns the wrench `(6,)` at every place at a time in s; after its end a command holds its last values."""
@@ -122,7 +134,7 @@ def real(name: str, values: Any) -> Any:
 
 
 def _finite(reading: Mapping[str, Any], place: str, faults: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """Returns a reading without the arrays that have numbers that are not finite, which JSON does not know; None where a single number is not,
+    """Returns a reading without the arrays that have numbers that are not finite; None where a single number is not,
     without which (such as its place) the rest means nothing.
     """
     out = {}
@@ -135,8 +147,17 @@ def _finite(reading: Mapping[str, Any], place: str, faults: list[dict[str, Any]]
             message = f"{np.asarray(value).tolist()} is not finite"
             faults.append({"type": "error", "where": f"{place}.{name}", "message": message, "help": "leave out what was not measured"})
         else:
-            out[name] = value
+            out[name] = _plain(value)
     return out
+
+
+def _plain(value: Any) -> Any:
+    """Returns a value without types of numpy."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {name: _plain(own) for name, own in value.items()}
+    return [_plain(own) for own in value] if isinstance(value, (list, tuple)) else value
 
 
 class Controller:
@@ -151,6 +172,7 @@ class Controller:
         self._native = self._make()
         self.greeting: dict[str, Any] = json.loads(self._native.greeting)
         self._places = [node["place"] for node in self.greeting["nodes"]]
+        self._names = [own["name"] for own in self.greeting["controls"]]
         self._sent: list[Command] = []
 
     @property
@@ -162,6 +184,12 @@ class Controller:
     def places(self) -> np.ndarray:
         """Places of the model's nodes along the arm, from 0 at the base to 1, (K+1,)."""
         return np.array(self._places)
+
+    @property
+    def controls(self) -> list[dict[str, Any]]:
+        """The controls, in the order of `Command.controls_at`: `name`, `unit`, the value `rest` before the first command, `lag_s`, and bounds, as `hello` of
+        `docs/serving.md` has them."""
+        return list(self.greeting["controls"])
 
     @property
     def actuators(self) -> list[str]:
@@ -206,7 +234,7 @@ class Controller:
         more = None
         references = [("reference", "reference_m", reference, "(t, x, y, z)"), ("reference_wxyz", "reference_wxyz", reference_wxyz, "(t, w, x, y, z)")]
         if any(given is not None for given in (readings, reference, reference_wxyz, obstacles, disturbance)):
-            fields: dict[str, Any] = {"type": "measurement"}
+            fields: dict[str, Any] = {}
             if readings is not None:
                 kept = [_finite(own, f"readings[{i}]", faults) for i, own in enumerate(readings)]
                 fields["readings"] = [own for own in kept if own is not None]
@@ -217,15 +245,14 @@ class Controller:
                 rows = np.asarray(real(name, values), dtype=float)
                 if rows.ndim != 2 or rows.shape[1] != n or not np.isfinite(rows).all():
                     raise ValueError(f"{name} has the shape {rows.shape}; expected rows {columns} of finite numbers, (n, {n})")
-                fields[field] = rows
+                fields[field] = rows.tolist()
             if obstacles is not None:
-                fields["obstacles"] = [dict(own) for own in obstacles]
+                fields["obstacles"] = _plain(obstacles)
             if disturbance is not None:
                 fields["disturbance"] = _finite(disturbance, "disturbance", faults)
-            more = json.dumps(fields, default=lambda own: own.tolist())
-        lines = self._native.step(time, positions, rotations, velocities, angular_velocities, more)
-        *refused, answer = map(json.loads, lines.splitlines())
-        command = Command(answer, faults + refused, self._places)
+            more = fields
+        refused, answer = self._native.step(time, positions, rotations, velocities, angular_velocities, more)
+        command = Command(answer, faults + refused, self._places, self._names)
         # A command begins after its sample, and at the latest when the next is sent.
         self._sent = [*self._sent[-1:], command]
         return command

@@ -167,12 +167,16 @@ def test_two_tendons_on_one_motor():
     scene = sa.Scene.load("mpc-tendons").replace(pair | {"estimator.kind": "none", "estimator.disturbances": [], "sensor": []})
     controller, plant = scene.controller(), scene.plant()
     assert controller.actuators == ["first", "second", "third", "fourth"]
+    assert [(own["name"], own["unit"], own["rest"]) for own in controller.controls] == [("first", "N", 0.725), ("second", "N", 0.725)]
     limits = {own["name"]: (own["least"], own["most"]) for own in controller.greeting["efforts"]}
     assert np.allclose(list(limits.values()), (0.0, 1.45))
     for _ in range(20):
         command = controller.step(plant.state_on(controller))
         first, third = (np.array(command.efforts[name]) for name in ("first", "third"))
         assert np.allclose(first + third, 1.45) and (np.minimum(first, third) >= -1e-12).all()
+        # The controls are the two motors, by what their first tendons have.
+        assert command.controls == {name: command.efforts[name] for name in ("first", "second")}
+        assert np.allclose(command.controls_at(command.end), [command.efforts[name][1] for name in ("first", "second")], atol=0.0)
         plant.apply(command)
     assert abs(plant.efforts["second"] + plant.efforts["fourth"] - 1.45) < 1e-12
 

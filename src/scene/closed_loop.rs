@@ -15,7 +15,7 @@ use crate::control::OptimalControlProblem;
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
-    ActuatorDynamics, EffortDynamics, Experiment, MpcError, Sensing, Sensor, SensorChoice,
+    ActuatorDynamics, EffortDynamics, Experiment, Heard, MpcError, Sensing, Sensor, SensorChoice,
     SensorSettings, ServeError, Server, Transfer, followed, with_long_steps,
 };
 use crate::stop::StopSignal;
@@ -247,9 +247,9 @@ impl Scene {
         source: &SceneSource,
         name: &str,
         stop: &StopSignal,
-    ) -> Result<(Server<Vec<u8>>, ClosedLoopSetup), ServerError> {
+    ) -> Result<(Server<Heard>, ClosedLoopSetup), ServerError> {
         let setup = self.closed_loop(source, 0, stop)?;
-        match Server::new(&setup.experiment, name, Vec::new()) {
+        match Server::new(&setup.experiment, name, Heard::default()) {
             Ok(server) => Ok((server, setup)),
             Err(ServeError::Mpc(error)) => Err(match self.mpc_error(source, &error) {
                 Some(of_scene) => of_scene.into(),

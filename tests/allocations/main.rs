@@ -3,6 +3,9 @@
 #![allow(unsafe_code, reason = "an allocator that counts")]
 
 #[allow(dead_code, reason = "not all of it is used here")]
+#[path = "../common/commands.rs"]
+mod commands;
+#[allow(dead_code, reason = "not all of it is used here")]
 #[path = "../common/estimating.rs"]
 mod estimating;
 #[path = "../common/tracking.rs"]

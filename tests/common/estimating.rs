@@ -9,6 +9,8 @@ use softarm::mechanics::{Material, NodeSpring, Rod, State, Wrench, static_equili
 use softarm::mpc::{Command, Disturbance, KalmanSettings, Predictor, RandomWalk};
 use softarm::task::{Arm, Discretization};
 
+use crate::commands::of_wrenches;
+
 /// Weightless, upright, 1 m long, of a soft silicone, E = 1 MPa.
 pub fn upright() -> Arm {
     Arm {
@@ -44,14 +46,7 @@ pub fn command(model: &Rod, start: f64, period: f64) -> Command {
         }
     };
     let end = start + period;
-    Command {
-        start,
-        end,
-        nodes: vec![model.tip()],
-        from: vec![at(start)],
-        to: vec![at(end)],
-        ..Command::default()
-    }
+    of_wrenches(&[model.tip()], [start, end], [&[at(start)], &[at(end)]])
 }
 
 /// The true motion of a plant under commands to the tip of another rod.
@@ -75,10 +70,9 @@ impl Truth {
     }
 
     pub fn advance(&mut self, command: &Command, until: f64) {
-        let command = Command {
-            nodes: vec![self.tip],
-            ..command.clone()
-        };
+        let [from, to] =
+            [false, true].map(|at_end| [command.wrench_on(command.nodes()[0], at_end)]);
+        let command = of_wrenches(&[self.tip], [command.start, command.end], [&from, &to]);
         let span = [self.time, until];
         (self.predictor)
             .advance(&mut self.state, span, &command, &self.disturbance)

@@ -24,7 +24,6 @@ pub struct Watch {
 
 impl Watch {
     pub fn new(hold: Hold, period: f64, force: ChannelLimits, moment: ChannelLimits) -> Self {
-        let none = vec![softarm::mechanics::Wrench::default()];
         Self {
             hold,
             period,
@@ -32,9 +31,6 @@ impl Watch {
             before: Command {
                 start: f64::NEG_INFINITY,
                 end: 0.0,
-                nodes: vec![0],
-                from: none.clone(),
-                to: none,
                 ..Command::default()
             },
             worst: 0.0,
@@ -45,11 +41,11 @@ impl Watch {
 
     pub fn see(&mut self, command: &Command) {
         let vectors = |c: &Command, last: bool| {
-            let wrench = if last { c.to[0] } else { c.from[0] };
+            let wrench = c.wrench_on(c.nodes()[0], last);
             [wrench.force, wrench.moment]
         };
         let (from, to) = (vectors(command, false), vectors(command, true));
-        let mut acting = self.before.from.clone();
+        let mut acting = [softarm::mechanics::Wrench::default()];
         if self.before.start.is_finite() {
             self.before.at(command.start, &mut acting);
         }

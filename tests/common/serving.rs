@@ -11,6 +11,7 @@ use softarm::mechanics::{Rod, State};
 use softarm::mpc::{ActuatorDynamics, Command, Experiment, MpcSettings, Server, SimulatedArm};
 use softarm::task::Discretization;
 
+use crate::commands::of_wrenches;
 use crate::tracking;
 
 /// The tip follows a path; a model of six elements on an arm of twelve and nine tenths of the stiffness, for half a second.
@@ -154,7 +155,7 @@ pub fn vector(value: &Value) -> Vector3<f64> {
 /// The command of a line; its numbers are in SI units in both.
 pub fn command_of(line: &Value) -> Command {
     let wrenches = line["wrenches"].as_array().unwrap();
-    let all = |force: &str, moment: &str| {
+    let all = |force: &str, moment: &str| -> Vec<_> {
         (wrenches.iter())
             .map(|own| softarm::mechanics::Wrench {
                 force: vector(&own[force]),
@@ -162,16 +163,13 @@ pub fn command_of(line: &Value) -> Command {
             })
             .collect()
     };
-    Command {
-        start: line["from_s"].as_f64().unwrap(),
-        end: line["to_s"].as_f64().unwrap(),
-        nodes: (wrenches.iter())
-            .map(|own| own["node"].as_u64().unwrap() as usize)
-            .collect(),
-        from: all("force_from_n", "moment_from_n_m"),
-        to: all("force_to_n", "moment_to_n_m"),
-        ..Command::default()
-    }
+    let nodes = wrenches
+        .iter()
+        .map(|own| own["node"].as_u64().unwrap() as usize);
+    let from = all("force_from_n", "moment_from_n_m");
+    let to = all("force_to_n", "moment_to_n_m");
+    let span = ["from_s", "to_s"].map(|name| line[name].as_f64().unwrap());
+    of_wrenches(&nodes.collect::<Vec<_>>(), span, [&from, &to])
 }
 
 /// The arm as it is of a scene, simulated here.
@@ -192,7 +190,7 @@ impl Plant {
             rod: Arc::unwrap_or_clone(plant.discrete.rod),
             initial: plant.discrete.initial,
             model: controller.rod().clone(),
-            nodes: controller.command().nodes.clone(),
+            nodes: controller.command().nodes().to_vec(),
         }
     }
 
@@ -215,8 +213,9 @@ pub fn assert_same(ours: &[Command], theirs: &[Command], tolerance: f64) {
     assert_eq!(ours.len(), theirs.len());
     for (k, (a, b)) in ours.iter().zip(theirs).enumerate() {
         assert!((a.start - b.start).abs() < 1e-12 && (a.end - b.end).abs() < 1e-12);
-        assert_eq!(a.nodes, b.nodes);
-        for (a, b) in (a.from.iter().chain(&a.to)).zip(b.from.iter().chain(&b.to)) {
+        assert_eq!(a.nodes(), b.nodes());
+        for (node, at_end) in (a.nodes().iter()).flat_map(|node| [(*node, false), (*node, true)]) {
+            let [a, b] = [a, b].map(|own| own.wrench_on(node, at_end));
             let off = (a.force - b.force).norm() + (a.moment - b.moment).norm();
             assert!(off < tolerance, "sample {k}: {off}");
         }

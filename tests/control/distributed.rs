@@ -108,9 +108,10 @@ fn loops_track_by_couples() {
         println!("{rms} of {still}");
         assert!(rms < part * still, "{rms} of {still}");
         for command in &commands {
-            assert_eq!(command.nodes, couple.nodes(&rod));
-            for wrenches in [&command.from, &command.to] {
-                for (i, wrench) in wrenches.iter().enumerate() {
+            assert_eq!(command.nodes(), couple.nodes(&rod));
+            for at_end in [false, true] {
+                for (i, node) in command.nodes().iter().enumerate() {
+                    let wrench = command.wrench_on(*node, at_end);
                     assert_eq!(wrench.force, Vector3::zeros());
                     for axis in 0..3 {
                         let row = (0..map.ncols()).map(|j| map[(6 * i + 3 + axis, j)].abs());
@@ -186,8 +187,9 @@ fn linear_actuators_are_as_good_as_wrenches() {
     );
     assert_eq!(own.len(), built_in.len());
     for (own, built_in) in own.iter().zip(&built_in) {
-        assert_eq!(own.nodes, built_in.nodes);
-        let off = (own.from[0].force - built_in.from[0].force).norm();
+        assert_eq!(own.nodes(), built_in.nodes());
+        let [own, built_in] = [own, built_in].map(|own| own.wrench_on(own.nodes()[0], false));
+        let off = (own.force - built_in.force).norm();
         assert!(off < 1e-9, "{off}");
     }
 }

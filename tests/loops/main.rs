@@ -1,5 +1,7 @@
 //! Closed loops: controller, plant, sensors, estimators, and plants in another process.
 
+#[path = "../common/commands.rs"]
+mod commands;
 #[path = "../common/estimating.rs"]
 mod estimating;
 #[path = "../common/rates.rs"]

@@ -19,7 +19,7 @@ fn apply(stepper: &mut Stepper, command: &Command, steps: usize) -> (f64, f64) {
         let (mut now, mut next) = ([Wrench::default()], [Wrench::default()]);
         command.at(t, &mut now);
         command.at(t + step, &mut next);
-        let nodes = &command.nodes;
+        let nodes = command.nodes();
         let [now, next] = [&now, &next].map(|wrenches| NodeWrenches::on(nodes, wrenches));
         stepper.advance([now, next]).unwrap();
         for wrench in now.wrenches {

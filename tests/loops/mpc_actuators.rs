@@ -1,20 +1,22 @@
 //! Loops of arms with tendons and chambers: the tensions of a loop on its own model are those of a solve, bounds and rates hold, estimators
 //! know the efforts, and a wrong arm is followed.
 
+use crate::commands::of_efforts;
 use crate::retracing::retrace;
 use crate::serving::{Desk, Plant, state_line};
 use crate::tracking::{TENSION, TENSION_RATE, discretization, tendon_arm, tendon_task};
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use serde_json::json;
 use softarm::control::Hold;
 use softarm::mechanics::{Density, Rod, State, TimeScheme};
 use softarm::mpc::{
-    Command, Computing, Contender, Controller, EffortDynamics, Experiment, KalmanFilter,
-    KalmanSettings, LoopSettings, MpcError, MpcSettings, Plant as _, Predictor, RodPlant, Sensing,
-    SensorChoice, SensorPreset, SimulatedArm, Unknowns,
+    Command, CommandedControl, Computing, Contender, ControlList, Controller, EffortDynamics,
+    Experiment, KalmanFilter, KalmanSettings, LoopSettings, MpcError, MpcSettings, Plant as _,
+    Predictor, RodPlant, Sensing, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
 };
 use softarm::mpc::{Disturbance, Estimator as _};
 use softarm::scene::Scene;
@@ -101,7 +103,7 @@ fn efforts_with_lags_follow_their_plan() {
     let model = controller.rod().clone();
     let (start, step) = (controller.expected().clone(), controller.model_step());
     let mut plant = RodPlant::new(&model, start, settings.period, step, &model);
-    let (mut acting, mut n_bounded) = ([0.0f64; 4], 0);
+    let (mut acting, mut n_bounded) = ([0.4f64; 4], 0);
     for sample in 0..60 {
         let measured = plant.measure();
         let gap = (measured.configuration.positions.iter())
@@ -114,11 +116,11 @@ fn efforts_with_lags_follow_their_plan() {
         issued.prepare().unwrap();
         plant.apply(&command).unwrap();
         for (i, own) in acting.iter_mut().enumerate() {
-            let told = command.efforts_from[i];
-            assert_eq!(told, command.efforts_to[i]);
-            assert!((-1e-12..=TENSION + 1e-12).contains(&(0.4 + told)), "{told}");
-            n_bounded += usize::from(0.4 + told < 0.01 * TENSION);
-            let off = (command.efforts_acting[i] - *own).abs();
+            let told = command.from[i];
+            assert_eq!(told, command.to[i]);
+            assert!((-1e-12..=TENSION + 1e-12).contains(&told), "{told}");
+            n_bounded += usize::from(told < 0.01 * TENSION);
+            let off = (command.acting[i] - *own).abs();
             assert!(off < 1e-12, "sample {sample}, tendon {i}: {off:e}");
             let next = told + (*own - told) * (-settings.period / lag).exp();
             let rate = (next - *own) / settings.period;
@@ -146,8 +148,8 @@ fn lags_of_wrong_arms_are_known() {
             assert!(within.contains(&from), "{from}");
         }
         // The command acts from the end of the sample on.
-        for (acts, known) in (closed.arm().acting_efforts().iter()).zip(&sent.efforts_acting) {
-            assert!((acts - 0.4 - known).abs() < 1e-9, "{acts} {known}");
+        for (acts, known) in (closed.arm().acting_efforts().iter()).zip(&sent.acting) {
+            assert!((acts - known).abs() < 1e-9, "{acts} {known}");
         }
         ControlFlow::Continue(())
     });
@@ -190,7 +192,7 @@ impl Watch {
             let before = self.before.as_ref().map_or(0.4, |before| {
                 let s = (sent.start - before.start) / (before.end - before.start);
                 let s = s.clamp(0.0, 1.0);
-                0.4 + before.efforts_from[i] * (1.0 - s) + before.efforts_to[i] * s
+                before.from[i] * (1.0 - s) + before.to[i] * s
             });
             let (change, time) = match self.hold {
                 Hold::Constant => (from - before, 0.01),
@@ -346,14 +348,8 @@ fn swinging(model: &Rod) -> (State, Command) {
     for q in 1..model.n_nodes() {
         state.linear_momentum[q] = Vector3::new(0.1, -0.2, 0.0) * (model.nodes[q].mass * q as f64);
     }
-    let command = Command {
-        start: 0.0,
-        end: 0.03,
-        efforts_from: vec![0.7, -0.3, 0.0, 0.2],
-        efforts_to: vec![1.0, 0.4, -0.2, 0.0],
-        ..Command::default()
-    };
-    (state, command)
+    let added: [&[f64]; 2] = [&[0.7, -0.3, 0.0, 0.2], &[1.0, 0.4, -0.2, 0.0]];
+    (state, of_efforts(model, [0.0, 0.03], added))
 }
 
 /// A filter without measurements moves as a plant that is its model, and the derivative of its state along the state at the start is that
@@ -372,9 +368,11 @@ fn estimators_know_the_efforts() {
         let model = tendon_arm(3e5).rod(&asked).unwrap();
         let (start, mut command) = swinging(&model);
         if lag > 0.0 {
-            command.efforts_to.clone_from(&command.efforts_from);
-            command.lags = vec![lag; 4];
-            command.efforts_acting = vec![-0.2, 0.1, 0.3, 0.0];
+            let with_lag = |own: &CommandedControl| CommandedControl { lag, ..own.clone() };
+            let controls = command.list.controls().iter().map(with_lag);
+            command.list = Arc::new(ControlList::new(controls.collect()));
+            command.to.clone_from(&command.from);
+            command.acting = [-0.2, 0.1, 0.3, 0.0].map(|added| 0.4 + added).to_vec();
         }
         let settings = KalmanSettings {
             longest_step: match scheme {
@@ -468,13 +466,8 @@ fn actuators_of_plants_are_slow_and_limited() {
         },
     ];
     let mut arm = arm.unwrap().with_efforts(&dynamics).unwrap();
-    arm.send(&Command {
-        start: 0.0,
-        end: 0.01,
-        efforts_from: vec![1.0, 1.0, 1.0, -0.4],
-        efforts_to: vec![1.0, 1.0, 1.0, -0.4],
-        ..Command::default()
-    });
+    let added: [&[f64]; 2] = [&[1.0, 1.0, 1.0, -0.4]; 2];
+    arm.send(&of_efforts(&model, [0.0, 0.01], added));
     assert_eq!(arm.acting_efforts(), [0.4; 4]);
     for k in 1..=10 {
         let t = 0.01 * f64::from(k);
@@ -518,10 +511,11 @@ fn forces_and_tensions_go_together() {
         force: ChannelLimits::at_most(0.05),
         moment: ChannelLimits::NONE,
     });
+    let tip = scene.controller().unwrap().rod().tip();
     let mut most = 0.0f64;
     let run = scene
         .run(Contender::Mpc, &mut |_, closed| {
-            most = most.max(closed.sent().from[0].force.norm());
+            most = most.max(closed.sent().wrench_on(tip, false).force.norm());
             ControlFlow::Continue(())
         })
         .unwrap();
@@ -575,13 +569,10 @@ fn served_tensions_are_those_of_the_library() {
             let off = (from[i] - a).abs().max((to[i] - b).abs());
             assert!(off < 1e-9 * TENSION, "sample {k}, tendon {i}: {off:e}");
         }
-        arm.send(&Command {
-            start: line["from_s"].as_f64().unwrap(),
-            end: line["to_s"].as_f64().unwrap(),
-            efforts_from: from.iter().map(|tension| tension - 0.4).collect(),
-            efforts_to: to.iter().map(|tension| tension - 0.4).collect(),
-            ..Command::default()
-        });
+        let span = ["from_s", "to_s"].map(|name| line[name].as_f64().unwrap());
+        let added = [&from, &to].map(|ends| ends.iter().map(|tension| tension - 0.4).collect());
+        let [from, to]: [Vec<f64>; 2] = added;
+        arm.send(&of_efforts(&plant.rod, span, [&from, &to]));
         arm.advance(t + 0.01).unwrap();
     }
 }

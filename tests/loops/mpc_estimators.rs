@@ -1,6 +1,8 @@
 //! Whatever an estimator refuses leaves no trace.
 
+use crate::commands::{components_of, of_wrenches};
 use crate::estimating;
+use std::sync::Arc;
 
 use estimating::{Truth, all_disturbances, at_rest, command, hanging, rod, upright};
 use nalgebra::Vector3;
@@ -56,13 +58,14 @@ fn the_same_nodes_change_nothing() {
     let mut sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), &model).unwrap();
     let mut measurement = Measurement::default();
     for k in 0..10 {
-        let mut act = command(&model, k as f64 * PERIOD, PERIOD);
-        act.nodes.push(2);
-        act.from.push(Wrench {
+        let swing = command(&model, k as f64 * PERIOD, PERIOD);
+        let push = Wrench {
             force: Vector3::new(0.02, 0.01, 0.0),
             moment: Vector3::new(0.0, 0.003, 0.001),
-        });
-        act.to.push(Wrench::default());
+        };
+        let [from, to] = [false, true].map(|at_end| swing.wrench_on(model.tip(), at_end));
+        let ends: [&[Wrench]; 2] = [&[from, push], &[to, Wrench::default()]];
+        let act = of_wrenches(&[model.tip(), 2], [swing.start, swing.end], ends);
         truth.advance(&act, act.end);
         (sensor.measure(act.end, &truth.state, &mut measurement)).unwrap();
         for estimator in [&mut direct as &mut dyn Estimator, &mut shown] {
@@ -93,11 +96,11 @@ fn what_is_refused_leaves_no_trace() {
             let act = command(&model, k as f64 * PERIOD, PERIOD);
             truth.advance(&act, act.end);
             let broken_force = Command {
-                to: vec![Wrench::from_array([f64::NAN; 6])],
+                to: vec![f64::NAN; 6],
                 ..act.clone()
             };
             let no_node = Command {
-                nodes: vec![77],
+                list: Arc::new(components_of(&[77])),
                 ..act.clone()
             };
             let at_once = Command {
@@ -105,7 +108,7 @@ fn what_is_refused_leaves_no_trace() {
                 ..act.clone()
             };
             let violent = Command {
-                to: vec![Wrench::from_array([1e6; 6])],
+                to: vec![1e6; 6],
                 ..act.clone()
             };
             let error = tried.advance(&broken_force, act.end).unwrap_err();

@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::commands::first_force;
 use crate::mpc_model::tendon_arm;
 use nalgebra::Vector3;
 use softarm::control::{Bound, Hold, NodeForm, SharedTerm, StateCost, StateTerm, StateView};
@@ -131,7 +132,7 @@ fn forced_failures_are_survived() {
     let mut before = Vector3::zeros();
     let outcome = scene.run(Contender::Mpc, &mut |sample, closed| {
         let sent = closed.sent();
-        let [from, to] = [sent.from[0].force, sent.to[0].force];
+        let [from, to] = [false, true].map(|at_end| first_force(sent, at_end));
         assert!((from - before).norm() < 1e-9 * FORCE, "{} jumps", sample.t);
         let most = RATE * (sent.end - sent.start) * (1.0 + 1e-9);
         assert!((to - from).norm() < most, "{} is too fast", sample.t);

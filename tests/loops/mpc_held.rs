@@ -1,5 +1,6 @@
 //! Loops of arms whose tip is held: another node follows, moved by a force on it or by tendons that end before the tip.
 
+use crate::commands::of_wrenches;
 use crate::retracing::{filter_moves_as_its_model, retrace};
 use crate::serving::{Desk, Plant, assert_same, command_of, state_line, vector};
 
@@ -9,7 +10,7 @@ use softarm::control::Hold;
 use softarm::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use softarm::mechanics::{TimeScheme, Wrench};
 use softarm::mpc::{
-    Command, Contender, Experiment, KalmanFilter, LoopSettings, MpcError, Sensing, Unknowns,
+    Contender, Experiment, KalmanFilter, LoopSettings, MpcError, Sensing, Unknowns,
 };
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
@@ -176,12 +177,13 @@ fn wrong_arms_between_ends_are_followed() {
         let run = own
             .run(Contender::Mpc, &mut |_, closed| {
                 let sent = closed.sent();
-                let forces = sent.from.iter().chain(&sent.to);
-                assert!(
-                    forces
-                        .into_iter()
-                        .all(|own| own.force.norm() <= FORCE + 1e-12)
-                );
+                for (node, at_end) in sent
+                    .nodes()
+                    .iter()
+                    .flat_map(|own| [(*own, false), (*own, true)])
+                {
+                    assert!(sent.wrench_on(node, at_end).force.norm() <= FORCE + 1e-12);
+                }
                 for (_, ends) in closed.controller().efforts(sent) {
                     let within = -1e-12..=TENSION + 1e-12;
                     assert!(
@@ -240,14 +242,7 @@ fn filters_move_between_ends() {
             force: nalgebra::Vector3::new(0.3, 0.1, 0.0),
             ..Wrench::default()
         };
-        let command = Command {
-            start: 0.0,
-            end: 0.03,
-            nodes: vec![4],
-            from: vec![pushed],
-            to: vec![pushed],
-            ..Command::default()
-        };
+        let command = of_wrenches(&[4], [0.0, 0.03], [&[pushed]; 2]);
         filter_moves_as_its_model(&model, &command, &[(4, 0), (2, 4), (7, 1)]);
         let start = softarm::mechanics::State::at_rest(model.rest.clone());
         let unknowns = Unknowns {

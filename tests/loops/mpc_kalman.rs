@@ -916,8 +916,9 @@ fn impossible_signals_are_refused() {
     let mut found = Vec::new();
     for k in 1..=24 {
         let act = Command {
-            from: vec![Wrench::default()],
-            to: vec![Wrench::default()],
+            from: vec![0.0; 6],
+            to: vec![0.0; 6],
+            acting: vec![0.0; 6],
             ..command(&model, PERIOD * f64::from(k - 1), PERIOD)
         };
         filter.advance(&act, act.end).unwrap();

@@ -262,7 +262,7 @@ fn tampered<'a>(
     let estimator = KalmanFilter::new(&model, 0.0, &start, &Unknowns::ALL.settings(&model, 0.01))?;
     let sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), rod)?;
     let own = softarm::mechanics::State::at_rest(rod.rest.clone());
-    let nodes = controller.command().nodes.clone();
+    let nodes = controller.command().nodes().to_vec();
     let arm = SimulatedArm::new(
         rod,
         own,

@@ -1,6 +1,7 @@
 //! Loops of arms with magnets in fields and cables to points: the efforts of a loop on its own model are those of a solve, estimators know
 //! them, and a wrong arm is followed.
 
+use crate::commands::of_efforts;
 use crate::retracing::{filter_moves_as_its_model, retrace};
 use crate::serving::Desk;
 use crate::tracking::{CABLE, FIELD, discretization, posed_arm, posed_task};
@@ -10,7 +11,7 @@ use std::ops::ControlFlow;
 use serde_json::json;
 use softarm::mechanics::TimeScheme;
 use softarm::mpc::{
-    Command, Computing, Contender, Experiment, LoopSettings, MpcSettings, Sensing, SensorChoice,
+    Computing, Contender, Experiment, LoopSettings, MpcSettings, Sensing, SensorChoice,
     SensorPreset, Unknowns,
 };
 use softarm::task::Discretization;
@@ -36,13 +37,8 @@ fn estimators_know_fields_and_cables() {
             ..discretization()
         };
         let model = posed_arm(3e5).rod(&asked).unwrap();
-        let command = Command {
-            start: 0.0,
-            end: 0.03,
-            efforts_from: vec![0.02, -0.01, 0.03],
-            efforts_to: vec![-0.01, 0.03, 0.08],
-            ..Command::default()
-        };
+        let added: [&[f64]; 2] = [&[0.02, -0.01, 0.03], &[-0.01, 0.03, 0.08]];
+        let command = of_efforts(&model, [0.0, 0.03], added);
         let tip = model.tip();
         filter_moves_as_its_model(
             &model,

@@ -1,8 +1,10 @@
 //! A controller that drives a plant in another process: the same commands as the closed loop in the library, by state and by sensors.
 
+use crate::commands::first_force;
 use crate::{rates, serving, tracking};
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use rates::{ROUNDING, Watch};
@@ -10,11 +12,15 @@ use serde_json::{Value, json};
 use serving::{Desk, Plant, arrays, assert_same, command_of, rows, scene, state_line, vector};
 use softarm::control::path::PathEnforcement;
 use softarm::control::{Bound, Hold, Shape};
+use softarm::mechanics::State;
 use softarm::mechanics::rotation::exp;
 use softarm::mpc::{
-    Command, Computing, Contender, EffortFrom, Experiment, Known, Measurement, Quantity, Reading,
-    Sensing, Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal, Unknowns,
+    Command, Computing, Contender, EffortFrom, Experiment, Known, Measurement, Part, Quantity,
+    Reading, Sensing, Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal,
+    Unknowns,
 };
+use softarm::scene::Scene;
+use softarm::stop::StopSignal;
 use softarm::task::{Limit, PathLimit};
 
 /// Commands of the closed loop in the library.
@@ -143,7 +149,7 @@ fn velocities_may_be_differences() {
         let b = command_of(&poses.command(&line));
         arm.send(&b);
         arm.advance(t + 0.01).unwrap();
-        worst = worst.max((a.from[0].force - b.from[0].force).norm());
+        worst = worst.max((first_force(&a, false) - first_force(&b, false)).norm());
     }
     assert!(worst > 1e-6, "velocities play no part: {worst}");
     let served = poses.server.finish(ServingEnd::Bye).unwrap();
@@ -210,7 +216,7 @@ fn references_may_come_with_measurements() {
         let reference = vector(&told["tip"]["reference_m"]);
         assert!((reference - tracking::path(t)).norm() < 1e-12);
         let b = command_of(&told);
-        off.push((a.from[0].force - b.from[0].force).norm());
+        off.push((first_force(&a, false) - first_force(&b, false)).norm());
         arm.send(&a);
         arm.advance(t + 0.01).unwrap();
     }
@@ -352,7 +358,7 @@ fn long_lines_are_read_in_blocks() {
             signals: vec![signal; 200],
         });
         let _ = driver.respond(0.0, Known::Measurements);
-        let force = |command: &Command| command.to[0].force;
+        let force = |command: &Command| first_force(command, true);
         let together = force(driver.told());
         let change = (together - force(&calm)).norm();
         (change, (together - force(&ours)).norm())
@@ -419,8 +425,8 @@ fn orientations_and_obstacles_may_come_with_measurements() {
         line["obstacles"] = json!([{ "name": "post", "moved_m": [-2.0, 0.0, 0.0], "velocity_m_s": [0.0, 0.0, 0.0] }]);
         let b = command_of(&is_told.command(&line));
         if k > 30 {
-            off = off.max((a.from[0].force - b.from[0].force).norm());
-            other = other.max((a.from[0].force - c.from[0].force).norm());
+            off = off.max((first_force(&a, false) - first_force(&b, false)).norm());
+            other = other.max((first_force(&a, false) - first_force(&c, false)).norm());
         }
         arm.send(&a);
         arm.advance(t + 0.01).unwrap();
@@ -517,4 +523,89 @@ fn disturbances_may_come_with_measurements() {
     line["disturbance"] = json!({ "payload_kg": 0.01 });
     let [error, _] = desk.error(&line.to_string());
     assert!(error["help"].as_str().unwrap().contains("[estimator]"));
+}
+
+/// The controls of a served loop are those of the library in name and value, and their effects are the wrenches and efforts of the same line:
+/// of a scene with couples along the arm, and of one with tendons, one of which follows another one.
+#[test]
+fn served_controls_have_the_effects_of_their_lines() {
+    for (name, sets) in [
+        ("mpc-elastica-case1", &[][..]),
+        (
+            "mpc-tendons",
+            &[
+                "tendon=[{name='a', offset_m=[0.008, 0.0], tension_n=[0.0, 5.0], pretension_n=0.5}, \
+                 {name='b', offset_m=[-0.008, 0.0], tension_n=[0.0, 5.0], pretension_n=1.5, follows={name='a', gain=-1.0}}, \
+                 {name='c', offset_m=[0.0, 0.008], tension_n=[0.0, 5.0], pretension_n=0.5}]",
+            ][..],
+        ),
+    ] {
+        let sets: Vec<String> = sets.iter().map(ToString::to_string).collect();
+        let (scene, source) = Scene::load(name, &sets).unwrap();
+        let setup = scene
+            .closed_loop(&source, 0, &StopSignal::default())
+            .unwrap();
+        let experiment = &setup.experiment;
+        let (list, model) = {
+            let controller = experiment.controller().unwrap();
+            (
+                Arc::clone(&controller.command().list),
+                controller.rod().clone(),
+            )
+        };
+        let mut desk = Desk::new(experiment);
+        let named = |own: &Value, field: &str| own[field].as_str().unwrap().to_string();
+        let served: Vec<_> = (desk.hello["controls"].as_array().unwrap().iter())
+            .map(|own| (named(own, "name"), named(own, "unit")))
+            .collect();
+        let own: Vec<_> = list
+            .named()
+            .map(|own| (own.name.clone(), own.unit.to_string()))
+            .collect();
+        assert_eq!(served, own);
+        let mut largest = 0.0f64;
+        for k in 0..20 {
+            let state = State::at_rest(model.rest.clone());
+            let line = desk.command(&state_line(experiment.mpc.period * f64::from(k), &state));
+            for (at_end, ends) in [(false, "from"), (true, "to")] {
+                let values: Vec<f64> =
+                    serde_json::from_value(line[format!("controls_{ends}")].clone()).unwrap();
+                let command = Command {
+                    list: Arc::clone(&list),
+                    from: values.clone(),
+                    to: values.clone(),
+                    acting: values,
+                    ..Command::default()
+                };
+                for own in line["wrenches"].as_array().unwrap() {
+                    let wrench = command.wrench_on(own["node"].as_u64().unwrap() as usize, at_end);
+                    let force = vector(&own[format!("force_{ends}_n")]);
+                    let moment = vector(&own[format!("moment_{ends}_n_m")]);
+                    let off = (wrench.force - force).norm() + (wrench.moment - moment).norm();
+                    assert!(
+                        off <= 1e-12 * (1.0 + force.norm() + moment.norm()),
+                        "{off:e}"
+                    );
+                    largest = largest.max(force.norm() + moment.norm());
+                }
+                for own in line["efforts"].as_array().into_iter().flatten() {
+                    let name = own["name"].as_str().unwrap();
+                    let at = model
+                        .actuators
+                        .iter()
+                        .position(|drive| drive.name == name)
+                        .unwrap();
+                    let given = model.actuators.iter().nth(at).unwrap().effort(0.0);
+                    let effort = given + command.sum_on(Part::Effort(at), at_end);
+                    let served = own[ends].as_f64().unwrap();
+                    assert!(
+                        (effort - served).abs() <= 1e-12 * (1.0 + served.abs()),
+                        "{name}"
+                    );
+                    largest = largest.max((served - given).abs());
+                }
+            }
+        }
+        assert!(largest > 1e-3, "{name}: nothing acts");
+    }
 }

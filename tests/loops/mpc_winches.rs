@@ -1,5 +1,6 @@
 //! Loops of arms whose tendons are on winches: estimators know the tensions that follow from displacements, and a wrong arm is followed.
 
+use crate::commands::of_efforts;
 use crate::retracing::{filter_moves_as_its_model, retrace};
 use crate::tracking::{discretization, tendon_arm, tendon_task};
 
@@ -7,7 +8,7 @@ use std::ops::ControlFlow;
 
 use softarm::mechanics::{TimeScheme, Winch};
 use softarm::mpc::{
-    Command, Computing, Contender, Experiment, LoopSettings, MpcSettings, Sensing, SensorChoice,
+    Computing, Contender, Experiment, LoopSettings, MpcSettings, Sensing, SensorChoice,
     SensorPreset, Unknowns,
 };
 use softarm::task::{Arm, Discretization, Task};
@@ -49,14 +50,9 @@ fn estimators_know_winches() {
             ..discretization()
         };
         let model = winch_arm(3e5).rod(&asked).unwrap();
-        let command = Command {
-            start: 0.0,
-            end: 0.03,
-            // Less than nothing: that tendon is slack.
-            efforts_from: vec![-1e-3, 0.5e-3, 0.0, 6e-3],
-            efforts_to: vec![1e-3, -1e-3, -2e-3, 6e-3],
-            ..Command::default()
-        };
+        // Less than nothing: that tendon is slack.
+        let added: [&[f64]; 2] = [&[-1e-3, 0.5e-3, 0.0, 6e-3], &[1e-3, -1e-3, -2e-3, 6e-3]];
+        let command = of_efforts(&model, [0.0, 0.03], added);
         let tip = model.tip();
         filter_moves_as_its_model(&model, &command, &[(tip, 0), (tip, 4), (2, 2), (3, 3)]);
     }

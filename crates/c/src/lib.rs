@@ -7,11 +7,10 @@ use std::ffi::{CStr, CString, c_char, c_int};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use softarm::control::{ControlKind, NamedControl};
 use softarm::mechanics::rollout::{ControlRows, Rollout};
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::{Rod, State, TimeGrid, Wrench};
-use softarm::mpc::{Command, MeasurementLine, Server, Transfer};
+use softarm::mpc::{Command, ControlList, Heard, MeasurementLine, Part, Server, Transfer};
 use softarm::nalgebra::Vector3;
 use softarm::scene::{Scene, ServerError};
 use softarm::stop::StopSignal;
@@ -57,12 +56,12 @@ fn wrong(text: impl Into<String>) -> Failure {
 
 /// A controller, behind a pointer of C.
 pub struct Controller {
-    /// The controller, and its answer to the last measurement.
-    server: Mutex<(Server<Vec<u8>>, CString)>,
+    /// The controller, and its answer to the last measurement where it was asked for as text.
+    server: Mutex<(Server<Heard>, CString)>,
     model: Rod,
     /// The last two commands, which another thread may ask for.
     sent: Mutex<[Option<Command>; 2]>,
-    controls: Vec<NamedControl>,
+    controls: Arc<ControlList>,
     period: f64,
     first: f64,
     places: Vec<f64>,
@@ -82,8 +81,8 @@ pub struct Plant {
     state: State,
     time: f64,
     longest_step: f64,
-    /// Node of the plant for every component of a wrench among the controls.
-    nodes: Vec<usize>,
+    /// The controls, on the nodes of the plant.
+    controls: ControlList,
     model: Rod,
 }
 
@@ -186,10 +185,10 @@ impl Controller {
             ServerError::Scene(error) => scene_error(error),
             ServerError::Serve(error) => Failure(MODEL, error.to_string()),
         })?;
-        let hello = taken(&mut server);
+        let hello = CString::new(std::mem::take(&mut server.peer().hello)).unwrap_or_default();
         let driver = server.driver();
-        let controls = driver.controller().commanded();
-        let texts: Vec<CString> = (controls.iter())
+        let controls = Arc::clone(&driver.controller().command().list);
+        let texts: Vec<CString> = (controls.named())
             .flat_map(|own| [own.name.as_str(), own.unit])
             .map(|text| CString::new(text).unwrap_or_default())
             .collect();
@@ -220,61 +219,54 @@ impl Controller {
         let sent = self.sent();
         let begun = |own: &&Command| own.start <= time + 1e-9;
         match sent.iter().rev().flatten().find(begun) {
-            None => self.controls.iter().map(|own| own.rest).collect(),
-            Some(command) => {
-                let part = ((time - command.start) / (command.end - command.start)).clamp(0.0, 1.0);
-                let [from, to] = [false, true].map(|end| command.values(&self.controls, end));
-                (from.iter().zip(to))
-                    .map(|(a, b)| a + (b - a) * part)
-                    .collect()
-            }
+            None => self.controls.named().map(|own| own.rest).collect(),
+            Some(command) => (0..self.controls.len())
+                .map(|control| command.commanded_at(control, time))
+                .collect(),
         }
     }
 
-    fn server(&self) -> MutexGuard<'_, (Server<Vec<u8>>, CString)> {
+    fn server(&self) -> MutexGuard<'_, (Server<Heard>, CString)> {
         self.server.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Answers a measurement; returns the code, and the pointer to the lines of the answer.
-    fn step(&self, mut line: MeasurementLine) -> Result<(c_int, *const c_char), Failure> {
-        let (server, answer) = &mut *self.server();
+    /// Answers a measurement; returns the code, and the pointer to the lines of the answer if they are asked for.
+    fn step(
+        &self,
+        mut line: MeasurementLine,
+        with_text: bool,
+    ) -> Result<(c_int, *const c_char), Failure> {
+        let (server, text) = &mut *self.server();
         if line.time_s.is_none_or(f64::is_nan) {
             line.time_s = Some(server.next_time());
         }
-        (server.take_line(line)).map_err(|error| Failure(FAULT, error.to_string()))?;
-        *answer = taken(server);
-        let command = server.driver().told().clone();
-        {
-            let mut sent = self.sent();
-            let last = sent[1].take();
-            *sent = [last, Some(command)];
-        }
-        let words = answer.to_string_lossy();
+        let heard =
+            (server.answer_line(line)).map_err(|error| Failure(FAULT, error.to_string()))?;
         let mut code = OK;
-        for line in words.lines() {
-            let Ok(line) = serde_json::from_str::<serde_json::Value>(line) else {
-                continue;
-            };
-            let field = |name: &str| line.get(name).and_then(|own| own.as_str());
-            if field("type") == Some("error") {
-                let parts =
-                    ["where", "message", "help"].map(|name| field(name).unwrap_or_default());
-                tell(&format!("{}: {}; {}", parts[0], parts[1], parts[2]));
-                code = code.max(REFUSED);
-            } else if let Some(cause) = line.get("fallback").filter(|own| !own.is_null()) {
-                if code == OK {
-                    tell(&format!("the command is that of the fall-back: {cause}"));
-                }
-                code = FALLBACK;
-            }
+        let fallback = heard.command.as_ref().and_then(|own| own.fallback.as_ref());
+        if let Some(own) = fallback {
+            tell(&format!(
+                "the command is that of the fall-back: {}, {}",
+                own.cause, own.action
+            ));
+            code = FALLBACK;
         }
-        Ok((code, answer.as_ptr()))
+        if let Some(error) = heard.errors.last() {
+            tell(&format!(
+                "{}: {}; {}",
+                error.place, error.message, error.help
+            ));
+            code = code.max(REFUSED);
+        }
+        if with_text {
+            *text = CString::new(heard.lines()).unwrap_or_default();
+        }
+        let command = server.driver().told().clone();
+        let mut sent = self.sent();
+        let last = sent[1].take();
+        *sent = [last, Some(command)];
+        Ok((code, text.as_ptr()))
     }
-}
-
-/// Takes what a server wrote.
-fn taken(server: &mut Server<Vec<u8>>) -> CString {
-    CString::new(std::mem::take(server.output())).unwrap_or_default()
 }
 
 impl Plant {
@@ -288,16 +280,17 @@ impl Plant {
                 .min_by(|a, b| off(a).total_cmp(&off(b)))
                 .unwrap_or(0)
         };
-        let node = |own: &NamedControl| match own.kind {
-            ControlKind::Wrench { node, .. } => nearest(controller.places[node]),
-            _ => 0,
-        };
+        let nodes: Vec<usize> = controller
+            .places
+            .iter()
+            .map(|place| nearest(*place))
+            .collect();
         Self {
             transfer: Transfer::new(&rod, &model),
             state: controller.initial.clone(),
             time: 0.0,
             longest_step: automatic_step(&rod),
-            nodes: controller.controls.iter().map(node).collect(),
+            controls: (controller.controls).placed(|node| [(nodes[node], 1.0)]),
             rod,
             model,
         }
@@ -308,19 +301,14 @@ impl Plant {
             let words = format!("dt_s = {dt}; expected a positive time of at most a million steps");
             return Err(wrong(words));
         }
-        if controller.controls.len() != self.nodes.len() {
+        if controller.controls.len() != self.controls.len() {
             return Err(wrong("the controller is not the one of the plant"));
         }
-        let m = self.rod.actuators.len();
-        let mut nodes: Vec<usize> = Vec::new();
-        for (own, node) in controller.controls.iter().zip(&self.nodes) {
-            if matches!(own.kind, ControlKind::Wrench { .. }) && !nodes.contains(node) {
-                nodes.push(*node);
-            }
-        }
+        let nodes = self.controls.nodes();
         let mut rows = ControlRows {
             n_rows: 2,
             linear: true,
+            nodes: nodes.to_vec(),
             ..ControlRows::default()
         };
         // Just before the end, where the next command may begin.
@@ -328,21 +316,20 @@ impl Plant {
             let mut efforts = self.rod.actuators.efforts(time);
             let mut wrenches = vec![Wrench::default(); nodes.len()];
             let values = controller.acting(time);
-            for ((own, value), node) in controller.controls.iter().zip(values).zip(&self.nodes) {
-                match own.kind {
-                    ControlKind::Effort { actuator } => efforts[actuator] = value,
-                    ControlKind::Wrench { component, .. } => {
-                        if let Some(at) = nodes.iter().position(|own| own == node) {
-                            wrenches[at][component] += value;
+            self.controls.visit(
+                |control| values[control],
+                |on, amount| match on {
+                    Part::Effort(actuator) => efforts[actuator] += amount,
+                    Part::Node(node, component) => {
+                        if let Some(at) = nodes.iter().position(|own| *own == node) {
+                            wrenches[at][component] += amount;
                         }
                     }
-                    ControlKind::Own => {}
-                }
-            }
-            rows.inputs.extend(if m > 0 { efforts } else { Vec::new() });
+                },
+            );
+            rows.inputs.extend(efforts);
             rows.wrenches.extend(wrenches);
         }
-        rows.nodes = nodes;
         let grid = TimeGrid::covering(dt, self.longest_step, 1);
         let stop = StopSignal::default();
         let rollout = Rollout {
@@ -474,7 +461,7 @@ pub unsafe extern "C" fn softarm_step(
             line.velocities_m_s = groups::<3>(measured.velocities, n);
             line.angular_velocities_rad_s = groups::<3>(measured.angular_velocities, n);
         }
-        let (code, lines) = own.step(line)?;
+        let (code, lines) = own.step(line, !answer.is_null())?;
         if !answer.is_null() {
             // SAFETY: the caller says so.
             unsafe { answer.write(lines) };

@@ -1,43 +1,230 @@
-//! The command of one sample: wrenches on nodes of the model, and efforts of the actuators in the arm.
+//! The command of one sample: one number for each control of a loop.
+//!
+//! A [`ControlList`] says once which numbers these are: name, unit, value at rest, lag, and the effects on an arm. A control moves what
+//! it acts on by
+//!
+//! ```text
+//! size (u - rest)      of every effect: a component of the wrench on a node (N, N m), or the effort of an actuator in the arm
+//! ```
+//!
+//! so that `u` is a whole value, such as the tension of a tendon, and `rest` the one that acts without a command, such as its pretension.
 
+use std::sync::Arc;
+
+use control::named::distinguish;
 use control::{ControlKind, NamedControl};
 use mechanics::{ControlSignal, Efforts, NodeWrenches, Rod, Wrench};
 
-/// The wrenches and efforts that act until the next sample, linear in time.
-#[derive(Debug, Default, PartialEq)]
+/// A part of an arm on which a control acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// A node, and a component of its wrench: force (spatial frame) before moment (body frame).
+    Node(usize, usize),
+    /// The effort of an actuator in the arm, by its index.
+    Effort(usize),
+}
+
+/// The part of an arm that a control moves, and by how much.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Effect {
+    /// The part.
+    pub on: Part,
+    /// Force or moment (N, N m) or effort for each unit of the control.
+    pub size: f64,
+}
+
+/// A control of a loop: one number of its commands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CommandedControl {
+    /// Name, unit, kind and value at rest.
+    pub named: NamedControl,
+    /// Time constant of the first-order lag with which the control follows its command, s; 0 for none. The command of a control with a lag
+    /// is constant.
+    pub lag: f64,
+    /// The parts of the arm that it moves.
+    pub effects: Vec<Effect>,
+}
+
+/// The controls of a loop, in the order of the numbers of its [commands](Command).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ControlList {
+    controls: Vec<CommandedControl>,
+    nodes: Vec<usize>,
+}
+
+impl ControlList {
+    /// Creates a list.
+    #[must_use]
+    pub fn new(controls: Vec<CommandedControl>) -> Self {
+        let mut nodes = Vec::new();
+        for effect in controls.iter().flat_map(|control| &control.effects) {
+            if let Part::Node(node, _) = effect.on
+                && !nodes.contains(&node)
+            {
+                nodes.push(node);
+            }
+        }
+        Self { controls, nodes }
+    }
+
+    /// Creates the list of the six components of the wrench on every given node of a rod, and of the efforts of all its actuators after
+    /// them.
+    #[must_use]
+    pub fn on(rod: &Rod, nodes: &[usize]) -> Self {
+        let components = (nodes.iter()).flat_map(|node| (0..6).map(move |part| (*node, part)));
+        let of_wrenches = components.enumerate().map(|(index, place)| {
+            let named = NamedControl::on_node(&rod.mesh, place, index);
+            (named, Part::Node(place.0, place.1))
+        });
+        let first = 6 * nodes.len();
+        let of_efforts = (rod.actuators.iter().enumerate()).map(|(actuator, drive)| {
+            let named = NamedControl {
+                name: drive.name.clone(),
+                unit: drive.input_unit(),
+                kind: ControlKind::Effort { actuator },
+                index: first + actuator,
+                rest: drive.effort(0.0),
+            };
+            (named, Part::Effort(actuator))
+        });
+        let (mut named, parts): (Vec<_>, Vec<_>) = of_wrenches.chain(of_efforts).unzip();
+        distinguish(&mut named);
+        let control = |(named, on)| CommandedControl {
+            named,
+            lag: 0.0,
+            effects: vec![Effect { on, size: 1.0 }],
+        };
+        Self::new(named.into_iter().zip(parts).map(control).collect())
+    }
+
+    /// Returns the controls.
+    #[must_use]
+    pub fn controls(&self) -> &[CommandedControl] {
+        &self.controls
+    }
+
+    /// Returns names, units and kinds of the controls.
+    pub fn named(&self) -> impl Iterator<Item = &NamedControl> {
+        self.controls.iter().map(|control| &control.named)
+    }
+
+    /// Returns the lag of the control that moves the effort of an actuator, s; 0 where none does.
+    pub(super) fn lag_of_effort(&self, actuator: usize) -> f64 {
+        let moves = |control: &&CommandedControl| {
+            (control.effects.iter()).any(|effect| effect.on == Part::Effort(actuator))
+        };
+        (self.controls.iter().find(moves)).map_or(0.0, |control| control.lag)
+    }
+
+    /// Returns the number of controls.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.controls.len()
+    }
+
+    /// Tells whether there is no control.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.controls.is_empty()
+    }
+
+    /// Returns the nodes on whose wrenches controls act, each once, in the order of the list.
+    #[must_use]
+    pub fn nodes(&self) -> &[usize] {
+        &self.nodes
+    }
+
+    /// Shows every effect of the controls, with its amount for the given values.
+    pub fn visit(&self, value: impl Fn(usize) -> f64, mut show: impl FnMut(Part, f64)) {
+        for (index, control) in self.controls.iter().enumerate() {
+            let amount = value(index) - control.named.rest;
+            for effect in &control.effects {
+                show(effect.on, effect.size * amount);
+            }
+        }
+    }
+
+    /// Returns the list for an arm on which a wrench on a node acts on other nodes: `shares` has these, with the part that each of them
+    /// gets.
+    #[must_use]
+    pub fn placed<S: IntoIterator<Item = (usize, f64)>>(
+        &self,
+        shares: impl Fn(usize) -> S,
+    ) -> Self {
+        let moved = |effect: &Effect| match effect.on {
+            Part::Effort(_) => vec![*effect],
+            Part::Node(node, component) => (shares(node).into_iter())
+                .filter(|(_, share)| *share != 0.0)
+                .map(|(node, share)| Effect {
+                    on: Part::Node(node, component),
+                    size: effect.size * share,
+                })
+                .collect(),
+        };
+        let controls = self.controls.iter().map(|control| CommandedControl {
+            effects: control.effects.iter().flat_map(moved).collect(),
+            ..control.clone()
+        });
+        Self::new(controls.collect())
+    }
+}
+
+/// A list as it is on another arm, computed once.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Placed {
+    of: Arc<ControlList>,
+    own: Arc<ControlList>,
+}
+
+impl Placed {
+    /// Writes a command as it is on the other arm; `place` computes the list there, if it is another one than before.
+    pub fn write(
+        &mut self,
+        command: &Command,
+        place: impl FnOnce(&ControlList) -> ControlList,
+        out: &mut Command,
+    ) {
+        if !Arc::ptr_eq(&self.of, &command.list) && self.of != command.list {
+            self.own = Arc::new(place(&command.list));
+            self.of = Arc::clone(&command.list);
+        }
+        out.clone_from(command);
+        out.list.clone_from(&self.own);
+    }
+}
+
+/// The values of all controls until the next sample, linear in time.
+#[derive(Debug, Default)]
 pub struct Command {
     /// Time at which the command begins to act, s.
     pub start: f64,
     /// Time at which the next command should begin to act, s.
     pub end: f64,
-    /// Nodes of the model on which the wrenches act.
-    pub nodes: Vec<usize>,
-    /// Force (spatial frame, N) and moment (body frame, N m) on each node at `start`.
-    pub from: Vec<Wrench>,
-    /// Wrenches at `end`.
-    pub to: Vec<Wrench>,
-    /// Efforts that the command adds at `start` to the given effort (the pretension) of every actuator in the arm, in the unit of the effort; 0 for
-    /// an actuator whose effort is no control, and empty if none is. [`Controller::efforts`](super::Controller::efforts) has whole efforts.
-    pub efforts_from: Vec<f64>,
-    /// Efforts that it adds at `end`.
-    pub efforts_to: Vec<f64>,
-    /// Time constants, s, of the first-order lags with which the efforts follow the command, which is constant where there is one: 0 for an
-    /// effort without a lag, and empty if none has one.
-    pub lags: Vec<f64>,
-    /// Efforts beyond the given ones that act at `start`, in the order of `lags`.
-    pub efforts_acting: Vec<f64>,
+    /// The controls.
+    pub list: Arc<ControlList>,
+    /// Commanded value of every control at `start`, in its unit.
+    pub from: Vec<f64>,
+    /// Commanded values at `end`; those of controls with a lag are the ones at `start`.
+    pub to: Vec<f64>,
+    /// Values that act at `start`: those commanded, but for controls with a lag.
+    pub acting: Vec<f64>,
+}
+
+impl PartialEq for Command {
+    fn eq(&self, other: &Self) -> bool {
+        (self.start, self.end) == (other.start, other.end)
+            && (self.from == other.from && self.to == other.to && self.acting == other.acting)
+            && self.has_list_of(other)
+    }
 }
 
 impl Clone for Command {
     fn clone(&self) -> Self {
         Self {
-            nodes: self.nodes.clone(),
+            list: Arc::clone(&self.list),
             from: self.from.clone(),
             to: self.to.clone(),
-            efforts_from: self.efforts_from.clone(),
-            efforts_to: self.efforts_to.clone(),
-            lags: self.lags.clone(),
-            efforts_acting: self.efforts_acting.clone(),
+            acting: self.acting.clone(),
             ..*self
         }
     }
@@ -45,100 +232,126 @@ impl Clone for Command {
     /// Copies into existing memory.
     fn clone_from(&mut self, other: &Self) {
         (self.start, self.end) = (other.start, other.end);
-        self.nodes.clone_from(&other.nodes);
+        self.list.clone_from(&other.list);
         self.from.clone_from(&other.from);
         self.to.clone_from(&other.to);
-        self.efforts_from.clone_from(&other.efforts_from);
-        self.efforts_to.clone_from(&other.efforts_to);
-        self.lags.clone_from(&other.lags);
-        self.efforts_acting.clone_from(&other.efforts_acting);
+        self.acting.clone_from(&other.acting);
     }
 }
 
 impl Command {
-    /// Adds the wrenches at time `t` to those of all nodes, and the efforts that act to those of all actuators.
-    pub(super) fn add_at(&self, t: f64, all: &mut Controls) {
-        let s = self.fraction(t);
-        for (node, (from, to)) in self.nodes.iter().zip(self.from.iter().zip(&self.to)) {
-            all.wrenches[*node].force += from.force * (1.0 - s) + to.force * s;
-            all.wrenches[*node].moment += from.moment * (1.0 - s) + to.moment * s;
-        }
-        for (actuator, out) in self.with_efforts(&mut all.efforts) {
-            *out += self.acting_effort(actuator, t);
+    /// Creates a command under which every control rests, from `start` to `end` (s).
+    #[must_use]
+    pub fn resting(list: Arc<ControlList>, start: f64, end: f64) -> Self {
+        let rest: Vec<f64> = list.named().map(|own| own.rest).collect();
+        Self {
+            start,
+            end,
+            list,
+            from: rest.clone(),
+            to: rest.clone(),
+            acting: rest,
         }
     }
 
-    /// Writes the wrenches at time `t`, constant outside of `start` to `end`.
+    /// Tells whether another command has the same controls.
+    pub(super) fn has_list_of(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.list, &other.list) || self.list == other.list
+    }
+
+    /// Returns the nodes on whose wrenches the command acts.
+    #[must_use]
+    pub fn nodes(&self) -> &[usize] {
+        self.list.nodes()
+    }
+
+    /// Returns the commanded value of a control at time `t`, constant outside of `start` to `end`.
+    #[must_use]
+    pub fn commanded_at(&self, control: usize, t: f64) -> f64 {
+        let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
+        self.from[control] * (1.0 - s) + self.to[control] * s
+    }
+
+    /// Returns the value of a control that acts at time `t`, as [`Self::commanded_at`] but for the lag of the control.
+    #[must_use]
+    pub fn acting_at(&self, control: usize, t: f64) -> f64 {
+        let commanded = self.commanded_at(control, t);
+        let lag = self.list.controls[control].lag;
+        if lag > 0.0 {
+            lagging(self.acting[control], commanded, t - self.start, lag)
+        } else {
+            commanded
+        }
+    }
+
+    /// Writes the wrenches that act at time `t` on [the nodes](Self::nodes), in their order.
     pub fn at(&self, t: f64, out: &mut [Wrench]) {
-        let s = self.fraction(t);
-        for ((out, from), to) in out.iter_mut().zip(&self.from).zip(&self.to) {
-            out.force = from.force * (1.0 - s) + to.force * s;
-            out.moment = from.moment * (1.0 - s) + to.moment * s;
-        }
+        out.fill(Wrench::default());
+        self.list.visit(
+            |control| self.acting_at(control, t),
+            |on, amount| {
+                if let Part::Node(node, component) = on
+                    && let Some(at) = self.nodes().iter().position(|own| *own == node)
+                {
+                    out[at][component] += amount;
+                }
+            },
+        );
     }
 
-    /// Returns the commanded values of [named numbers](super::Controller::commanded) at the start, or at the end.
-    pub fn values(&self, named: &[NamedControl], at_end: bool) -> Vec<f64> {
-        let (wrenches, efforts) = match at_end {
-            false => (&self.from, &self.efforts_from),
-            true => (&self.to, &self.efforts_to),
-        };
-        (named.iter())
-            .map(|own| match own.kind {
-                ControlKind::Effort { actuator } => own.rest + efforts[actuator],
-                ControlKind::Wrench { node, component } => {
-                    let at = self.nodes.iter().position(|own| *own == node);
-                    at.map_or(0.0, |at| wrenches[at][component])
-                }
-                ControlKind::Own => own.rest,
-            })
-            .collect()
+    /// Returns the sum of what the commanded controls add to a part of an arm, at the start of the command or at its end.
+    #[must_use]
+    pub fn sum_on(&self, part: Part, at_end: bool) -> f64 {
+        let values = if at_end { &self.to } else { &self.from };
+        let mut sum = 0.0;
+        self.list.visit(
+            |control| values[control],
+            |on, amount| sum += if on == part { amount } else { 0.0 },
+        );
+        sum
+    }
+
+    /// Returns the wrench that the command adds to a node, at its start or at its end.
+    #[must_use]
+    pub fn wrench_on(&self, node: usize, at_end: bool) -> Wrench {
+        let mut wrench = Wrench::default();
+        for component in 0..6 {
+            wrench[component] = self.sum_on(Part::Node(node, component), at_end);
+        }
+        wrench
+    }
+
+    /// Adds the values that act at time `t` to the controls of all nodes and actuators.
+    pub(super) fn add_at(&self, t: f64, all: &mut Controls) {
+        self.list.visit(
+            |control| self.acting_at(control, t),
+            |on, amount| all.add(on, amount),
+        );
+    }
+
+    /// Adds the commanded values at time `t` as [`Self::add_at`] adds those that act.
+    pub(super) fn add_commanded_at(&self, t: f64, all: &mut Controls) {
+        self.list.visit(
+            |control| self.commanded_at(control, t),
+            |on, amount| all.add(on, amount),
+        );
     }
 
     /// Writes the efforts of all actuators that act at time `t`, beyond the given ones.
     pub(super) fn write_efforts_at(&self, t: f64, efforts: &mut [f64]) {
-        for (actuator, out) in self.with_efforts(efforts) {
-            *out = self.acting_effort(actuator, t);
-        }
-    }
-
-    /// Writes the commanded efforts at time `t` as [`Self::write_efforts_at`] writes those that act.
-    pub(super) fn write_commanded_at(&self, t: f64, efforts: &mut [f64]) {
-        for (actuator, out) in self.with_efforts(efforts) {
-            *out = self.commanded_effort(actuator, t);
-        }
-    }
-
-    /// Returns the actuators that have an effort in the command, with a number for each.
-    fn with_efforts<'a>(
-        &self,
-        efforts: &'a mut [f64],
-    ) -> impl Iterator<Item = (usize, &'a mut f64)> + use<'a> {
-        efforts.iter_mut().enumerate().take(self.efforts_from.len())
-    }
-
-    fn commanded_effort(&self, actuator: usize, t: f64) -> f64 {
-        let s = self.fraction(t);
-        self.efforts_from[actuator] * (1.0 - s) + self.efforts_to[actuator] * s
-    }
-
-    fn acting_effort(&self, actuator: usize, t: f64) -> f64 {
-        let commanded = self.commanded_effort(actuator, t);
-        match self.lags.get(actuator) {
-            Some(&lag) if lag > 0.0 => {
-                let acting = self.efforts_acting[actuator];
-                lagging(acting, commanded, t - self.start, lag)
-            }
-            _ => commanded,
-        }
-    }
-
-    fn fraction(&self, t: f64) -> f64 {
-        ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0)
+        efforts.fill(0.0);
+        self.list.visit(
+            |control| self.acting_at(control, t),
+            |on, amount| {
+                if let Part::Effort(actuator) = on {
+                    efforts[actuator] += amount;
+                }
+            },
+        );
     }
 }
 
-/// Returns the effort at a time (s) after one that acted, under a constant command and a lag: `c + (u - c) exp(-t/τ)`.
+/// Returns the value at a time (s) after one that acted, under a constant command and a lag: `c + (u - c) exp(-t/τ)`.
 pub(super) fn lagging(acting: f64, commanded: f64, after: f64, lag: f64) -> f64 {
     commanded + (acting - commanded) * (-after.max(0.0) / lag).exp()
 }
@@ -156,6 +369,14 @@ impl Controls {
     pub fn begin_with(&mut self, wrenches: &[Wrench]) {
         self.wrenches.copy_from_slice(wrenches);
         self.efforts.fill(0.0);
+    }
+
+    /// Adds an amount to a part; a node is its index among the wrenches.
+    pub fn add(&mut self, on: Part, amount: f64) {
+        match on {
+            Part::Node(node, component) => self.wrenches[node][component] += amount,
+            Part::Effort(actuator) => self.efforts[actuator] += amount,
+        }
     }
 
     /// Lets nothing act.

@@ -21,16 +21,14 @@ pub use self::parts::ControllerParts;
 pub use self::settings::{EffortFrom, MpcSettings};
 use self::steps::Divided;
 pub use self::steps::with_long_steps;
-use super::command::{Command, Controls};
+use super::command::{Command, CommandedControl, Controls, Part};
 use super::error::MpcError;
 use super::estimator::Motions;
 use super::holding::HeldControls;
-use super::horizon::{Horizon, Part};
+use super::horizon::Horizon;
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
-use control::named::distinguish;
-use control::{ActuatedNode, Channel, Hold};
-use control::{ControlKind, NamedControl};
+use control::{ActuatedNode, Channel, Component, Hold};
 use mechanics::linearization::StateTangent;
 use mechanics::{Drive, Rod, State, StepError, Wrench};
 use stop::StopSignal;
@@ -205,7 +203,7 @@ impl Controller {
         &self.settings
     }
 
-    /// Returns the last command; before the first one, it has no wrench.
+    /// Returns the last command; before the first one, every control rests.
     #[must_use]
     pub fn command(&self) -> &Command {
         &self.command
@@ -219,31 +217,18 @@ impl Controller {
     ) -> impl Iterator<Item = (&'a str, [f64; 2])> {
         self.driven().map(move |(index, own, ..)| {
             let given = own.effort(command.start);
-            let ends = [&command.efforts_from, &command.efforts_to];
-            let added = ends.map(|added| added.get(index).copied().unwrap_or(0.0));
+            let added = [false, true].map(|at_end| command.sum_on(Part::Effort(index), at_end));
             (&own.name[..], added.map(|added| given + added))
         })
     }
 
-    /// Returns the numbers of a [command](Command) by name: components of the wrenches on its nodes, among them what user-defined actuators
-    /// exert, and efforts of actuators in the arm. The index of a component of a wrench is that in this list.
-    pub fn commanded(&self) -> Vec<NamedControl> {
-        let horizon = &self.horizon;
-        let mesh = &horizon.problem.rod.mesh;
-        let acts = |node: usize, axis: usize| {
-            let mut effects = horizon.effects.iter().flatten();
-            effects.any(|effect| effect.on == Part::Node(node, axis))
+    /// Returns the controls of commands, each with its channel and its index there.
+    pub(super) fn bounded(&self) -> impl Iterator<Item = (&CommandedControl, &Channel, usize)> {
+        let components = self.horizon.components.iter();
+        let with_bounds = |(own, component): (_, &Component)| {
+            (own, self.horizon.problem.channel(component), component.axis)
         };
-        let of_wrenches = (self.command.nodes.iter())
-            .flat_map(|node| (0..6).map(move |component| (*node, component)))
-            .filter(|(node, component)| acts(*node, *component));
-        let mut out: Vec<NamedControl> = (of_wrenches.enumerate())
-            .map(|(index, place)| NamedControl::on_node(mesh, place, index))
-            .collect();
-        let named = horizon.problem.named_controls().into_iter();
-        out.extend(named.filter(|own| matches!(own.kind, ControlKind::Effort { .. })));
-        distinguish(&mut out);
-        out
+        (self.command.list.controls().iter().zip(components)).map(with_bounds)
     }
 
     /// Returns the actuators in the arm that controls drive: index, actuator, effort per unit of its control, and the channel of that.

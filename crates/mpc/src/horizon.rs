@@ -20,7 +20,7 @@ use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
 use self::columns::{Columns, WinchSlopes};
-use super::command::{ControlOrder, Controls};
+use super::command::{CommandedControl, ControlList, ControlOrder, Controls, Effect, Part};
 use super::error::MpcError;
 use super::estimator::{Disturbance, ModelParameters, Motions};
 use super::knots::Knots;
@@ -39,32 +39,10 @@ use stop::StopSignal;
 /// same, with twice the value to three digits.
 const NEGLIGIBLE: f64 = 1e-4;
 
-/// The part of the [`Controls`] that one unit of a control component changes, and by how much.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Effect {
-    pub on: Part,
-    /// Force or moment, N or N m, or effort.
-    pub size: f64,
-}
-
-/// A part of the [`Controls`] of a motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Part {
-    /// A node, and a component of its wrench: force before moment.
-    Node(usize, usize),
-    /// The effort of an actuator in the arm.
-    Effort(usize),
-}
-
 /// Adds the wrenches and efforts of `amount` units of a component.
 fn add_effects(effects: &[Effect], amount: f64, controls: &mut Controls) {
-    for Effect { on, size } in effects {
-        match *on {
-            Part::Node(node, component) => {
-                controls.wrenches[node][component] += amount * size;
-            }
-            Part::Effort(actuator) => controls.efforts[actuator] += amount * size,
-        }
+    for effect in effects {
+        controls.add(effect.on, amount * effect.size);
     }
 }
 
@@ -347,17 +325,17 @@ impl Horizon {
         self.knots.n_coefficients() * self.components.len()
     }
 
-    /// Returns the nodes on which components act, those of wrenches before those of actuators of one's own, each once.
-    pub fn actuated_nodes(&self) -> Vec<usize> {
-        let mut nodes = self.problem.actuated_nodes();
-        for effect in self.effects.iter().flatten() {
-            if let Part::Node(node, _) = effect.on
-                && !nodes.contains(&node)
-            {
-                nodes.push(node);
-            }
-        }
-        nodes
+    /// Returns the controls of commands, in the order of the components.
+    pub fn control_list(&self) -> ControlList {
+        let named = self.problem.named_controls();
+        let controls = (named.into_iter().zip(&self.components).zip(&self.effects)).map(
+            |((named, component), effects)| CommandedControl {
+                named,
+                lag: self.problem.channel(component).lag,
+                effects: effects.clone(),
+            },
+        );
+        ControlList::new(controls.collect())
     }
 
     /// Places the horizon from `start` (s) on: as long as the longest one, or until `due`. Returns `false` if nothing is left of it.

@@ -85,7 +85,7 @@ pub use closed_loop::{
     Innovations, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles, Responded, Sample,
     SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
 };
-pub use command::Command;
+pub use command::{Command, CommandedControl, ControlList, Effect, Part};
 pub use controller::{Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord};
 #[doc(hidden)]
 pub use controller::{ControllerParts, followed, with_long_steps};
@@ -97,11 +97,11 @@ pub use estimator::{
 pub use limits::KEPT;
 pub use plant::{Plant, RodPlant};
 pub use sensor::{Sensor, SensorPreset, SensorSettings};
+#[doc(hidden)]
+pub use serving::{CommandLine, ErrorLine, Heard, MeasurementLine, Peer, rotation_rows};
 pub use serving::{
     LONGEST_LINE, SERVING_VERSION, ServeError, Served, Server, ServingEnd, read_line, serve,
 };
-#[doc(hidden)]
-pub use serving::{MeasurementLine, rotation_rows};
 pub use signal::{Measurement, Quantity, QuantityRow, Reading, Signal};
 pub use simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
 pub use subproblem::SubproblemEnd;

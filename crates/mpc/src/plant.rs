@@ -1,6 +1,6 @@
 //! The plant: the system that a controller acts on.
 
-use super::command::{Command, ControlOrder, Controls};
+use super::command::{Command, ControlList, ControlOrder, Controls, Placed};
 use super::transfer::Transfer;
 use mechanics::{Rod, State, StepError, Stepper, TimeGrid, Wrench};
 
@@ -30,6 +30,9 @@ pub struct RodPlant<'a> {
     /// Nearest own node of every node of the model.
     nearest: Vec<usize>,
     order: ControlOrder,
+    /// The last command and its controls, on the nodes of the order.
+    command: Command,
+    placed: Placed,
     controls: [Controls; 2],
 }
 
@@ -45,6 +48,8 @@ impl<'a> RodPlant<'a> {
             nearest: transfer.nearest(),
             transfer,
             order: ControlOrder::on(Vec::new(), rod),
+            command: Command::default(),
+            placed: Placed::default(),
             controls: [Controls::default(), Controls::default()],
             rod,
             step,
@@ -77,10 +82,15 @@ impl Plant for RodPlant<'_> {
         let Self {
             order,
             nearest,
+            placed,
+            command: own,
             controls: [now, next],
             ..
         } = self;
-        order.place(command.nodes.iter().map(|node| nearest[*node]));
+        order.place(command.nodes().iter().map(|node| nearest[*node]));
+        let at = |list: &ControlList, node| list.nodes().iter().position(|own| *own == node);
+        let place = |list: &ControlList| list.placed(|node| at(list, node).map(|at| (at, 1.0)));
+        placed.write(command, place, own);
         for controls in [&mut *now, &mut *next] {
             (controls.wrenches).resize(order.nodes.len(), Wrench::default());
             controls.efforts.resize(order.n_efforts(), 0.0);
@@ -89,8 +99,8 @@ impl Plant for RodPlant<'_> {
         for k in 0..steps {
             let at = |k: usize| command.start + k as f64 * self.step;
             for (t, out) in [(at(k), &mut *now), (at(k + 1), &mut *next)] {
-                command.at(t, &mut out.wrenches);
-                command.write_efforts_at(t, &mut out.efforts);
+                out.clear();
+                own.add_at(t, out);
             }
             self.stepper.advance([order.of(now), order.of(next)])?;
         }

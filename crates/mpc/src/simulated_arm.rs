@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::command::{Command, ControlOrder, Controls};
+use super::command::{Command, ControlList, ControlOrder, Controls, Placed};
 use super::error::MpcError;
 use super::signal::EARLY;
 use super::transfer::Transfer;
@@ -154,8 +154,9 @@ pub struct SimulatedArm<'a> {
     actuators: ActuatorDynamics,
     /// Dynamics of the actuators in the arm, and their given efforts at time 0.
     efforts: Vec<(EffortDynamics, f64)>,
-    /// Commands that act or will act, the earliest first.
+    /// Commands that act or will act, the earliest first, on the nodes of the order.
     sent: VecDeque<Command>,
+    placed: Placed,
     /// Own nodes on which commands act, and the present controls.
     order: ControlOrder,
     acting: Controls,
@@ -197,6 +198,7 @@ impl<'a> SimulatedArm<'a> {
                 .map(|actuator| (EffortDynamics::default(), actuator.effort(0.0)))
                 .collect(),
             sent: VecDeque::new(),
+            placed: Placed::default(),
             order,
             acting: still.clone(),
             next: still.clone(),
@@ -314,7 +316,12 @@ impl<'a> SimulatedArm<'a> {
     pub fn send(&mut self, command: &Command) {
         let start = command.start;
         self.sent.retain(|other| other.start < start);
-        self.sent.push_back(command.clone());
+        let (nearest, order) = (&self.nearest, &self.order);
+        let at = |node: usize| order.nodes.iter().position(|own| *own == nearest[node]);
+        let place = |list: &ControlList| list.placed(|node| at(node).map(|at| (at, 1.0)));
+        let mut own = Command::default();
+        self.placed.write(command, place, &mut own);
+        self.sent.push_back(own);
     }
 
     /// Simulates until the time `until`, s.
@@ -368,19 +375,6 @@ impl<'a> SimulatedArm<'a> {
         else {
             return;
         };
-        let s = ((told - command.start) / (command.end - command.start)).clamp(0.0, 1.0);
-        for (node, (from, to)) in command
-            .nodes
-            .iter()
-            .zip(command.from.iter().zip(&command.to))
-        {
-            let own = self.nearest[*node];
-            if let Some(at) = self.order.nodes.iter().position(|other| *other == own) {
-                let wanted = &mut self.wanted.wrenches[at];
-                wanted.force += from.force * (1.0 - s) + to.force * s;
-                wanted.moment += from.moment * (1.0 - s) + to.moment * s;
-            }
-        }
-        command.write_commanded_at(told, &mut self.wanted.efforts);
+        command.add_commanded_at(told, &mut self.wanted);
     }
 }

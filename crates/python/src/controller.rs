@@ -3,16 +3,18 @@
 use nalgebra::Matrix3;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use pythonize::{depythonize, pythonize};
 
 use super::{interruptibly, raise, read, scene_error};
 use crate::arrays::{Numbers, any_numbers};
-use softarm::mpc::{MeasurementLine, Server, rotation_rows};
+use softarm::mpc::{Heard, MeasurementLine, Server, rotation_rows};
 use softarm::scene::ServerError;
 
 /// The controller of a scene: `Controller(name, text=None, overrides=[])`. Its words are those of `docs/serving.md`.
 #[pyclass(module = "softarm._softarm")]
 pub(super) struct Controller {
-    server: Server<Vec<u8>>,
+    server: Server<Heard>,
     n_nodes: usize,
     greeting: String,
 }
@@ -44,7 +46,7 @@ impl Controller {
             ServerError::Scene(error) => scene_error(py, &error),
             ServerError::Serve(error) => raise(py, "ModelError", error.to_string()),
         })?;
-        let greeting = taken(&mut server);
+        let greeting = std::mem::take(&mut server.peer().hello);
         Ok(Self {
             server,
             n_nodes,
@@ -64,24 +66,28 @@ impl Controller {
         self.server.next_time()
     }
 
-    /// Answers a measurement, and prepares the next sample. Arrays have the shapes of `Plant.state`; `more` is a JSON object with the other
-    /// fields of a measurement. Returns the lines of the answer as JSON, refusals first.
+    /// Answers a measurement, and prepares the next sample. Arrays have the shapes of `Plant.state`; `more` has the other fields of a
+    /// measurement. Returns the refusals and the answer, as `docs/serving.md` has their fields.
     // Each is a keyword of Python.
     #[allow(clippy::too_many_arguments)]
     #[pyo3(signature = (time=None, positions=None, rotations=None, velocities=None, angular_velocities=None, more=None))]
-    fn step(
+    fn step<'py>(
         &mut self,
-        py: Python<'_>,
+        py: Python<'py>,
         time: Option<f64>,
         positions: Option<Numbers<'_>>,
         rotations: Option<Numbers<'_>>,
         velocities: Option<Numbers<'_>>,
         angular_velocities: Option<Numbers<'_>>,
-        more: Option<&str>,
-    ) -> PyResult<String> {
+        more: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let fields = match more {
+            Some(more) => more.copy()?,
+            None => PyDict::new(py),
+        };
+        fields.set_item("type", "measurement")?;
         let mut line: MeasurementLine =
-            serde_json::from_str(more.unwrap_or("{\"type\":\"measurement\"}"))
-                .map_err(|error| PyValueError::new_err(error.to_string()))?;
+            depythonize(&fields).map_err(|error| PyValueError::new_err(error.to_string()))?;
         let n = self.n_nodes;
         // Numbers that are not finite and nodes that lack are faults of the measurement, which the loop survives; other shapes are faults of the
         // program.
@@ -115,15 +121,11 @@ impl Controller {
             line.angular_velocities_rad_s = Some(read("angular_velocities", own)?);
         }
         let server = &mut self.server;
-        py.detach(|| server.take_line(line))
+        let heard = (py.detach(|| server.answer_line(line)))
             .map_err(|error| raise(py, "InternalError", error.to_string()))?;
-        Ok(taken(&mut self.server))
+        Ok((
+            pythonize(py, &heard.errors)?,
+            pythonize(py, &heard.command)?,
+        ))
     }
-}
-
-/// Takes what was written.
-fn taken(server: &mut Server<Vec<u8>>) -> String {
-    let written = String::from_utf8_lossy(server.output()).into_owned();
-    server.output().clear();
-    written
 }

@@ -20,7 +20,7 @@ use crate::solve::page::closed_loop_page;
 /// Recording of the arm's motion, a row at the beginning and after every sample, and of the commands that are sent to it.
 pub(super) struct Recording {
     trajectory: RowFiles,
-    /// The numbers of a command by name, from the first one on.
+    /// The controls, from the first command on.
     commanded: Vec<NamedControl>,
     controls: Vec<ControlRow>,
     /// Efforts of the actuators in the arm, as they act.
@@ -165,15 +165,19 @@ impl Recording {
     pub(super) fn see(&mut self, closed: &ClosedLoop) -> Result<(), OutputError> {
         let (arm, command) = (closed.arm(), closed.sent());
         if self.controls.is_empty() {
-            self.commanded = closed.controller().commanded();
+            self.commanded = command.list.named().cloned().collect();
         }
         let tip = closed.controller().rod().tip();
-        let acting = (command.nodes.iter().zip(arm.acting()))
+        let acting = (command.nodes().iter().zip(arm.acting()))
             .find_map(|(node, wrench)| (*node == tip).then_some(*wrench));
         let row = |t_start, t_end, at_end| ControlRow {
             t_start,
             t_end,
-            values: command.values(&self.commanded, at_end),
+            values: if at_end {
+                command.to.clone()
+            } else {
+                command.from.clone()
+            },
         };
         let (start, end) = (command.start, command.end);
         let rows = match self.hold {

@@ -432,9 +432,9 @@ impl Experiment {
         let knowledge = self.knowledge(&controller, &rod)?;
         let period = self.mpc.period;
         let mut efforts = self.efforts.clone();
-        let of_model = controller.command().lags.iter().skip(efforts.len());
-        efforts.extend(of_model.map(|&lag| EffortDynamics {
-            lag,
+        let of_model = efforts.len()..controller.rod().actuators.len();
+        efforts.extend(of_model.map(|actuator| EffortDynamics {
+            lag: controller.command().list.lag_of_effort(actuator),
             ..EffortDynamics::default()
         }));
         let arm = SimulatedArm::new(
@@ -442,7 +442,7 @@ impl Experiment {
             start,
             period,
             controller.rod(),
-            &controller.command().nodes,
+            controller.command().nodes(),
             self.actuators,
         )?
         .with_efforts(&efforts)?;

@@ -96,7 +96,8 @@ impl Sample {
     }
 
     pub(super) fn note_command(&mut self, command: &Command, record: &SampleRecord) {
-        self.wrench = command.from.first().copied().unwrap_or_default();
+        let first = command.nodes().first();
+        self.wrench = first.map_or_else(Wrench::default, |node| command.wrench_on(*node, false));
         self.predicted_cost = record.predicted_cost;
         self.iterations = record.iterations;
         self.subproblem = record.subproblem;

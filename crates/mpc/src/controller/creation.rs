@@ -1,5 +1,7 @@
 //! The creation of a controller: the discrete problem of one horizon, and memory for all that follows.
 
+use std::sync::Arc;
+
 use super::outlet::Outlet;
 use super::settings::MpcSettings;
 use super::steps::{Divided, period_and_horizon, with_long_steps};
@@ -84,7 +86,11 @@ impl Controller {
             before_knots: knots,
             weights,
             acting: vec![0.0; n_components],
-            command: nothing(&horizon, &settings, &lags),
+            command: Command::resting(
+                Arc::new(horizon.control_list()),
+                settings.start,
+                settings.start + settings.period,
+            ),
             outlet: Outlet::new(settings.start, settings.period, lags),
             planned: None,
             from_acting: Vec::with_capacity(n_components),
@@ -244,31 +250,4 @@ fn lags(horizon: &Horizon) -> Vec<f64> {
 
 fn has_any(lags: &[f64]) -> bool {
     lags.iter().any(|lag| *lag > 0.0)
-}
-
-/// Returns the command of the first sample without any control; `lags` are those of all controls, s.
-fn nothing(horizon: &Horizon, settings: &MpcSettings, lags: &[f64]) -> Command {
-    let nodes = horizon.actuated_nodes();
-    let n_efforts = if horizon.problem.efforts.is_some() {
-        horizon.problem.rod.actuators.len()
-    } else {
-        0
-    };
-    let mut lags_of_efforts = vec![0.0; if has_any(lags) { n_efforts } else { 0 }];
-    for (driven, component) in horizon.problem.driven_components() {
-        if let Some(lag) = lags_of_efforts.get_mut(driven.actuator) {
-            *lag = horizon.problem.channel(&component).lag;
-        }
-    }
-    Command {
-        start: settings.start,
-        end: settings.start + settings.period,
-        from: vec![Wrench::default(); nodes.len()],
-        to: vec![Wrench::default(); nodes.len()],
-        nodes,
-        efforts_from: vec![0.0; n_efforts],
-        efforts_to: vec![0.0; n_efforts],
-        efforts_acting: vec![0.0; lags_of_efforts.len()],
-        lags: lags_of_efforts,
-    }
 }

@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Controller, EffortFrom};
+use crate::command::{Effect, Part};
 use crate::holding::{Along, HeldControls, Holding, ReferencePose};
-use crate::horizon::{Effect, Part};
 use control::{Channel, ControlsAlong, OptimalControlProblem, Tracking};
 use mechanics::Wrench;
 use mechanics::direction::Deviation;

@@ -8,11 +8,10 @@
 //! instant counts by what it adds to the effort at the end of the sample, so that the effort is then that of the plan. This mean is within
 //! the bounds of the command.
 
-use super::super::horizon::{Horizon, Part};
+use super::super::horizon::Horizon;
 use super::bounds::{channels, is_slow, part_within, vector};
 use crate::command::{Command, lagging};
 use control::Hold;
-use mechanics::Wrench;
 
 /// Scaled controls, linear in time from `start` to `end` (s) and constant outside; of an effort with a lag `from` is the effort that acts at
 /// `start`, and `to`, where it was sent, the command.
@@ -34,7 +33,7 @@ impl Course {
         }
     }
 
-    /// Writes the controls that act at time `t`, as [`Command::at`] writes wrenches.
+    /// Writes the controls that act at time `t`, as [`Command::acting_at`] computes them.
     fn write_at(&self, lags: &[f64], t: f64, out: &mut [f64]) {
         let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
         for ((out, lag), (from, to)) in
@@ -167,39 +166,14 @@ impl Outlet {
 
     /// Writes the control that was sent as a command.
     pub fn write(&self, horizon: &Horizon, command: &mut Command) {
-        let Course {
-            start,
-            end,
-            from,
-            to,
-        } = &self.sent;
-        (command.start, command.end) = (*start, *end);
-        command.efforts_acting.fill(0.0);
-        for (own, out, efforts) in [
-            (from, &mut command.from, &mut command.efforts_from),
-            (to, &mut command.to, &mut command.efforts_to),
-        ] {
-            out.fill(Wrench::default());
-            efforts.fill(0.0);
-            for (c, (effects, scale)) in horizon.effects.iter().zip(&horizon.scales).enumerate() {
-                let lags = self.lags[c] > 0.0;
-                let v = if lags { to[c] } else { own[c] };
-                for effect in effects {
-                    match effect.on {
-                        Part::Effort(actuator) => {
-                            efforts[actuator] += v * scale * effect.size;
-                            if lags {
-                                command.efforts_acting[actuator] = from[c] * scale * effect.size;
-                            }
-                        }
-                        Part::Node(node, component) => {
-                            if let Some(at) = command.nodes.iter().position(|own| *own == node) {
-                                out[at][component] += v * scale * effect.size;
-                            }
-                        }
-                    }
-                }
-            }
+        let sent = &self.sent;
+        (command.start, command.end) = (sent.start, sent.end);
+        let list = &command.list;
+        for (c, (own, scale)) in list.named().zip(&horizon.scales).enumerate() {
+            let [from, to] = [sent.from[c], sent.to[c]].map(|scaled| own.rest + scaled * scale);
+            command.acting[c] = from;
+            command.from[c] = if self.lags[c] > 0.0 { to } else { from };
+            command.to[c] = to;
         }
     }
 }

@@ -236,13 +236,21 @@ pub enum EstimateError {
         /// End of the command, s.
         end: f64,
     },
-    /// A command has efforts for another number of actuators.
-    #[error(
-        "the command has {given} efforts, and the model has {n_actuators} actuators: give one for each, or none"
-    )]
-    Efforts {
-        /// Number of efforts.
+    /// A command has another number of values than controls.
+    #[error("the command has {given} values for {n_controls} controls: give one for each")]
+    Values {
+        /// Number of values.
         given: usize,
+        /// Number of controls in the list of the command.
+        n_controls: usize,
+    },
+    /// A command acts on an actuator that the model does not have.
+    #[error(
+        "the command acts on the actuator of index {actuator}, and the model has {n_actuators}"
+    )]
+    Actuator {
+        /// Index of the actuator.
+        actuator: usize,
         /// Number of actuators of the model.
         n_actuators: usize,
     },

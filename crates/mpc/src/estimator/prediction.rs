@@ -1,6 +1,6 @@
 //! Motions of the model that begin at an estimate.
 
-use crate::command::{Command, ControlOrder, Controls};
+use crate::command::{Command, ControlOrder, Controls, Part};
 use crate::signal::EARLY;
 use mechanics::{ControlSignal, Rod, State, StepError, Stepper, TimeGrid};
 
@@ -129,38 +129,33 @@ impl Predictor {
     /// Checks that a command is valid for this model.
     pub(super) fn check(&self, command: &Command) -> Result<(), EstimateError> {
         let n_nodes = self.model.n_nodes();
-        if let Some(&node) = command.nodes.iter().find(|node| **node >= n_nodes) {
+        if let Some(&node) = command.nodes().iter().find(|node| **node >= n_nodes) {
             return Err(EstimateError::Node { node, n_nodes });
         }
-        let finite = (command.from.iter().chain(&command.to)).all(|wrench| {
-            wrench.force.iter().all(|c| c.is_finite())
-                && wrench.moment.iter().all(|c| c.is_finite())
-        });
-        if !finite {
-            let what = "a wrench of the command".into();
-            return Err(EstimateError::NotFinite { what });
-        }
-        let efforts = [
-            &command.efforts_from,
-            &command.efforts_to,
-            &command.efforts_acting,
-            &command.lags,
-        ];
-        if efforts
-            .into_iter()
-            .flatten()
-            .any(|effort| !effort.is_finite())
-        {
-            let what = "an effort of the command".into();
-            return Err(EstimateError::NotFinite { what });
-        }
         let n_actuators = self.model.actuators.len();
-        if let Some(own) = (efforts.into_iter()).find(|own| ![0, n_actuators].contains(&own.len()))
-        {
-            return Err(EstimateError::Efforts {
-                given: own.len(),
-                n_actuators,
-            });
+        let controls = command.list.controls();
+        for effect in controls.iter().flat_map(|control| &control.effects) {
+            if let Part::Effort(actuator) = effect.on
+                && actuator >= n_actuators
+            {
+                return Err(EstimateError::Actuator {
+                    actuator,
+                    n_actuators,
+                });
+            }
+        }
+        for values in [&command.from, &command.to, &command.acting] {
+            if values.len() != controls.len() {
+                return Err(EstimateError::Values {
+                    given: values.len(),
+                    n_controls: controls.len(),
+                });
+            }
+            let named = command.list.named().zip(values);
+            if let Some((own, _)) = named.into_iter().find(|(_, value)| !value.is_finite()) {
+                let what = format!("{} of the command", own.name);
+                return Err(EstimateError::NotFinite { what });
+            }
         }
         if command.start < command.end {
             return Ok(());

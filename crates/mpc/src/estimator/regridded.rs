@@ -1,10 +1,10 @@
 //! An estimator on nodes of its own.
 
-use crate::command::Command;
+use crate::command::{Command, ControlList, Placed};
 use crate::error::MpcError;
 use crate::signal::Measurement;
 use crate::transfer::Transfer;
-use mechanics::{Rod, State, Wrench};
+use mechanics::{Rod, State};
 
 use super::{Estimate, EstimateError, Estimator, Innovation, check_start};
 
@@ -19,8 +19,9 @@ pub struct Regridded {
     /// Transfer from the nodes of the model to those of the estimator, and back.
     there: Transfer,
     back: Transfer,
-    /// Command on the estimator's nodes.
+    /// Command on the estimator's nodes, and its controls there.
     command: Command,
+    placed: Placed,
     state: State,
     /// Estimate on the model's nodes.
     estimate: Estimate,
@@ -52,6 +53,7 @@ impl Regridded {
             there,
             back,
             command: Command::default(),
+            placed: Placed::default(),
             estimate,
             model: model.clone(),
         }
@@ -69,31 +71,13 @@ impl Regridded {
 
     /// Writes a command on the nodes of the model as one on those of the estimator.
     fn translate(&mut self, command: &Command) -> Result<(), EstimateError> {
-        let own = &mut self.command;
-        (own.start, own.end) = (command.start, command.end);
-        own.nodes.clear();
-        own.from.clear();
-        own.to.clear();
-        own.efforts_from.clone_from(&command.efforts_from);
-        own.efforts_to.clone_from(&command.efforts_to);
-        own.lags.clone_from(&command.lags);
-        own.efforts_acting.clone_from(&command.efforts_acting);
-        for (&node, (from, to)) in (command.nodes.iter()).zip(command.from.iter().zip(&command.to))
-        {
-            let n_nodes = self.model.n_nodes();
-            let Some(shares) = self.back.shares(node) else {
-                return Err(EstimateError::Node { node, n_nodes });
-            };
-            for (node, share) in shares.into_iter().filter(|(_, share)| *share != 0.0) {
-                let part = |of: &Wrench| Wrench {
-                    force: of.force * share,
-                    moment: of.moment * share,
-                };
-                own.nodes.push(node);
-                own.from.push(part(from));
-                own.to.push(part(to));
-            }
+        let (back, n_nodes) = (&self.back, self.model.n_nodes());
+        if let Some(&node) = command.nodes().iter().find(|node| **node >= n_nodes) {
+            return Err(EstimateError::Node { node, n_nodes });
         }
+        let place =
+            |list: &ControlList| list.placed(|node| back.shares(node).into_iter().flatten());
+        self.placed.write(command, place, &mut self.command);
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! The columns of the plan's coefficients in the linearized motion.
 
-use super::{Effect, Part};
+use crate::command::{Effect, Part};
 use crate::knots::Knots;
 use mechanics::linearization::Motion;
 use mechanics::sensitivity::{ControlColumns, EffortColumns, EffortPulls};

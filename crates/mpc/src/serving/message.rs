@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SERVING_VERSION;
 use crate::closed_loop::{Percentiles, TipError};
+use crate::command::CommandedControl;
 use crate::estimator::Disturbance;
 use crate::sensor::SensorSettings;
 use crate::signal::Quantity;
@@ -124,7 +125,7 @@ impl TryFrom<BTreeMap<String, serde_json::Value>> for ReadingLine {
 
 /// The first line of the server.
 #[derive(Debug, Serialize)]
-pub(super) struct Hello<'a> {
+pub struct Hello<'a> {
     #[serde(rename = "type")]
     pub kind: &'static str,
     pub version: u64,
@@ -140,6 +141,7 @@ pub(super) struct Hello<'a> {
     pub actuators: Vec<ActuatorLine>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub efforts: Vec<EffortLimits<'a>>,
+    pub controls: Vec<ControlLine<'a>>,
     pub accepts: Vec<&'static str>,
     pub most_readings: usize,
     pub sensors: Vec<SensorLine>,
@@ -148,7 +150,7 @@ pub(super) struct Hello<'a> {
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct NodeLine {
+pub struct NodeLine {
     pub place: f64,
     pub rest_position_m: Vector,
     pub rest_rotation: Rows,
@@ -158,9 +160,50 @@ pub(super) struct NodeLine {
     pub rotary_inertia_kg_m2: Vector,
 }
 
+/// A control: name, unit, value before the first command, time constant of its lag, limits; `null` means unbounded, or bounded together with
+/// others.
+#[derive(Debug, Serialize)]
+pub struct ControlLine<'a> {
+    pub name: &'a str,
+    pub unit: &'static str,
+    pub rest: f64,
+    pub lag_s: f64,
+    pub least: Option<f64>,
+    pub most: Option<f64>,
+    pub fastest_fall: Option<f64>,
+    pub fastest_rise: Option<f64>,
+}
+
+impl<'a> ControlLine<'a> {
+    pub fn of((own, channel, axis): (&'a CommandedControl, &Channel, usize)) -> Self {
+        let rest = own.named.rest;
+        let [least, most] = ends(channel.bound, axis, 1.0).map(|end| end.map(|end| rest + end));
+        let [fastest_fall, fastest_rise] = ends(channel.rate_bound, axis, 1.0);
+        Self {
+            name: &own.named.name,
+            unit: own.named.unit,
+            rest,
+            lag_s: own.lag,
+            least,
+            most,
+            fastest_fall,
+            fastest_rise,
+        }
+    }
+}
+
+/// Returns the ends of a bound on a component times a gain; `None` where there is none, or not for it alone.
+fn ends(bound: Option<Bound>, axis: usize, gain: f64) -> [Option<f64>; 2] {
+    let interval = bound.and_then(|bound| bound.interval(axis));
+    let interval = interval.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+    let [one, other] = interval.map(|end| end * gain);
+    let finite = |end: f64| end.is_finite().then_some(end);
+    [finite(one.min(other)), finite(one.max(other))]
+}
+
 /// An actuator in the arm whose effort is commanded: unit, effort before the first command, limits; `null` means unbounded.
 #[derive(Debug, Serialize)]
-pub(super) struct EffortLimits<'a> {
+pub struct EffortLimits<'a> {
     pub name: &'a str,
     pub unit: &'static str,
     pub rest: f64,
@@ -173,16 +216,8 @@ pub(super) struct EffortLimits<'a> {
 impl<'a> EffortLimits<'a> {
     pub fn of((_, actuator, gain, channel): (usize, &'a Drive, f64, &Channel)) -> Self {
         let rest = actuator.effort(0.0);
-        let ends = |bound: Option<Bound>| {
-            let interval = bound.and_then(|bound| bound.interval(0));
-            let interval = interval.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
-            let [one, other] = interval.map(|end| end * gain);
-            let [least, most] = [one.min(other), one.max(other)];
-            let finite = |end: f64| end.is_finite().then_some(end);
-            [finite(least), finite(most)]
-        };
-        let [least, most] = ends(channel.bound).map(|end| end.map(|end| rest + end));
-        let [fastest_fall, fastest_rise] = ends(channel.rate_bound);
+        let [least, most] = ends(channel.bound, 0, gain).map(|end| end.map(|end| rest + end));
+        let [fastest_fall, fastest_rise] = ends(channel.rate_bound, 0, gain);
         Self {
             name: &actuator.name,
             unit: actuator.input_unit(),
@@ -196,7 +231,7 @@ impl<'a> EffortLimits<'a> {
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct ActuatorLine {
+pub struct ActuatorLine {
     pub node: usize,
     pub force: Option<ChannelLine>,
     pub moment: Option<ChannelLine>,
@@ -204,7 +239,7 @@ pub(super) struct ActuatorLine {
 
 /// Limits of a force or moment; `null` means unbounded.
 #[derive(Debug, Serialize)]
-pub(super) struct ChannelLine {
+pub struct ChannelLine {
     pub unit: &'static str,
     pub frame: &'static str,
     pub max_norm: Option<f64>,
@@ -259,7 +294,7 @@ impl ChannelLine {
 
 /// A sensor of the scene: standard deviations of what it measures.
 #[derive(Debug, Serialize)]
-pub(super) struct SensorLine {
+pub struct SensorLine {
     pub places: Vec<f64>,
     pub rate_hz: f64,
     pub age_s: f64,
@@ -281,26 +316,28 @@ impl SensorLine {
 }
 
 /// A fault in a line of the plant, and its remedy.
-#[derive(Debug, Serialize)]
-pub(super) struct ErrorLine<'a> {
+#[derive(Clone, Debug, Serialize)]
+pub struct ErrorLine {
     #[serde(rename = "type")]
     pub kind: &'static str,
     pub line: usize,
     #[serde(rename = "where")]
-    pub place: &'a str,
-    pub message: &'a str,
-    pub help: &'a str,
+    pub place: String,
+    pub message: String,
+    pub help: String,
 }
 
 /// The response to a measurement.
-#[derive(Debug, Serialize)]
-pub(super) struct CommandLine {
+#[derive(Clone, Debug, Serialize)]
+pub struct CommandLine {
     #[serde(rename = "type")]
     pub kind: &'static str,
     pub sample: usize,
     pub time_s: f64,
     pub from_s: f64,
     pub to_s: f64,
+    pub controls_from: Vec<f64>,
+    pub controls_to: Vec<f64>,
     pub wrenches: Vec<WrenchLine>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub efforts: Vec<EffortLine>,
@@ -317,16 +354,16 @@ pub(super) struct CommandLine {
 }
 
 /// The last measurement that an estimator used, compared with its prediction.
-#[derive(Debug, Serialize)]
-pub(super) struct InnovationLine {
+#[derive(Clone, Debug, Serialize)]
+pub struct InnovationLine {
     pub numbers: usize,
     pub rms: f64,
     pub distance_m: Option<f64>,
     pub refused_signals: usize,
 }
 
-#[derive(Debug, Serialize)]
-pub(super) struct WrenchLine {
+#[derive(Clone, Debug, Serialize)]
+pub struct WrenchLine {
     pub node: usize,
     pub force_from_n: Vector,
     pub force_to_n: Vector,
@@ -335,21 +372,21 @@ pub(super) struct WrenchLine {
 }
 
 /// The effort of an actuator in the arm, in its unit.
-#[derive(Debug, Serialize)]
-pub(super) struct EffortLine {
+#[derive(Clone, Debug, Serialize)]
+pub struct EffortLine {
     pub name: String,
     pub from: f64,
     pub to: f64,
 }
 
-#[derive(Debug, Serialize)]
-pub(super) struct FallbackLine {
+#[derive(Clone, Debug, Serialize)]
+pub struct FallbackLine {
     pub cause: String,
     pub action: String,
 }
 
-#[derive(Debug, Serialize)]
-pub(super) struct TipLine {
+#[derive(Clone, Debug, Serialize)]
+pub struct TipLine {
     pub time_s: f64,
     pub position_m: Vector,
     pub reference_m: Option<Vector>,
@@ -408,7 +445,7 @@ impl Default for DisturbanceLine {
 
 /// Durations on this machine, s.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub(super) struct Phases {
+pub struct Phases {
     pub read: f64,
     pub estimate: f64,
     pub predict: f64,

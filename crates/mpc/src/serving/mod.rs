@@ -21,11 +21,12 @@ use std::ops::ControlFlow;
 use std::time::Instant;
 
 use nalgebra::{Matrix3, Vector3};
+use serde::Serialize;
 
 use self::intake::{Intake, MOST_READINGS, Refusal};
 use self::message::{
-    ActuatorLine, CommandLine, DisturbanceLine, EffortLimits, EffortLine, ErrorLine, FallbackLine,
-    Hello, InnovationLine, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows,
+    ActuatorLine, ControlLine, DisturbanceLine, EffortLimits, EffortLine, FallbackLine,
+    InnovationLine, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows,
     version_message,
 };
 use super::closed_loop::{
@@ -35,9 +36,9 @@ use super::controller::Controller;
 use super::error::MpcError;
 use mechanics::rotation::from_quaternion;
 
-pub use self::message::Line as MeasurementLine;
 pub use self::message::Served;
 pub use self::message::rows as rotation_rows;
+pub use self::message::{CommandLine, ErrorLine, Hello, Line as MeasurementLine};
 
 /// Version of the lines. It changes when the meaning of a field changes.
 pub const SERVING_VERSION: u64 = 1;
@@ -118,12 +119,78 @@ pub fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<boo
     }
 }
 
+/// A line of the server.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[serde(untagged)]
+pub enum Said<'a> {
+    /// The first one.
+    Hello(&'a Hello<'a>),
+    /// A fault in a line of the plant.
+    Error(&'a ErrorLine),
+    /// The answer to a measurement.
+    Command(&'a CommandLine),
+    /// The last one.
+    Summary(&'a Served),
+}
+
+/// A plant that hears the lines of a server: any [writer](Write), as a line of JSON each, or [`Heard`] in the same process.
+pub trait Peer {
+    /// Takes a line.
+    ///
+    /// # Errors
+    /// Returns an error if the plant cannot be reached.
+    fn hear(&mut self, said: Said) -> io::Result<()>;
+}
+
+impl<W: Write> Peer for W {
+    fn hear(&mut self, said: Said) -> io::Result<()> {
+        let mut text = serde_json::to_vec(&said)?;
+        text.push(b'\n');
+        self.write_all(&text)?;
+        self.flush()
+    }
+}
+
+/// The lines of a server to a plant in the same process, without text in between.
+#[derive(Clone, Debug, Default)]
+pub struct Heard {
+    /// The first line, as JSON.
+    pub hello: String,
+    /// Faults in the last measurement.
+    pub errors: Vec<ErrorLine>,
+    /// The answer to the last measurement; `None` where this was a goodbye.
+    pub command: Option<CommandLine>,
+}
+
+impl Heard {
+    /// Returns the answer to the last measurement as lines of JSON, faults first.
+    #[must_use]
+    pub fn lines(&self) -> String {
+        let errors = self.errors.iter().map(Said::Error);
+        let said = errors.chain(self.command.as_ref().map(Said::Command));
+        let lines = said.filter_map(|said| serde_json::to_string(&said).ok());
+        lines.map(|line| line + "\n").collect()
+    }
+}
+
+impl Peer for Heard {
+    fn hear(&mut self, said: Said) -> io::Result<()> {
+        match said {
+            Said::Hello(_) => self.hello = serde_json::to_string(&said)?,
+            Said::Error(error) => self.errors.push(error.clone()),
+            Said::Command(command) => self.command = Some(command.clone()),
+            Said::Summary(_) => {}
+        }
+        Ok(())
+    }
+}
+
 /// A controller that answers the lines of a plant.
 #[derive(Debug)]
-pub struct Server<W> {
+pub struct Server<P> {
     driver: Driver,
     intake: Intake,
-    output: W,
+    peer: P,
     n_lines: usize,
     record: Record,
     /// Time from which distances of the tip count, s.
@@ -202,12 +269,12 @@ enum Taken {
     Unusable,
 }
 
-impl<W: Write> Server<W> {
+impl<P: Peer> Server<P> {
     /// Creates the controller of an experiment, whose plant, actuators and duration are not used, and writes the first line.
     ///
     /// # Errors
     /// Returns [`ServeError`] as [`serve`] does.
-    pub fn new(experiment: &Experiment, scene: &str, output: W) -> Result<Self, ServeError> {
+    pub fn new(experiment: &Experiment, scene: &str, peer: P) -> Result<Self, ServeError> {
         let driver = experiment.driver()?;
         let model = driver.controller().rod();
         let mut server = Self {
@@ -218,7 +285,7 @@ impl<W: Write> Server<W> {
                 .filter(|end| *end >= experiment.duration),
             length: model.scales.length,
             driver,
-            output,
+            peer,
             n_lines: 0,
             record: Record::default(),
             prepared_in: 0.0,
@@ -252,7 +319,7 @@ impl<W: Write> Server<W> {
             .map(ActuatorLine::of)
             .collect();
         // Nodes on which user-defined actuators act.
-        for &node in &controller.command().nodes {
+        for &node in controller.command().nodes() {
             if !actuators.iter().any(|own| own.node == node) {
                 actuators.push(ActuatorLine::unbounded(node));
             }
@@ -271,13 +338,14 @@ impl<W: Write> Server<W> {
             nodes,
             actuators,
             efforts: controller.driven().map(EffortLimits::of).collect(),
+            controls: controller.bounded().map(ControlLine::of).collect(),
             accepts,
             most_readings: MOST_READINGS,
             obstacles: controller.obstacles().collect(),
             path_ends_s: self.path_ends,
             sensors: self.intake.sensors().iter().map(SensorLine::of).collect(),
         };
-        write(&mut self.output, &hello)
+        self.peer.hear(Said::Hello(&hello))
     }
 
     /// Takes one line of the plant, answers it, and prepares the next sample. Returns `Break` if the plant says goodbye.
@@ -290,14 +358,6 @@ impl<W: Write> Server<W> {
             return Ok(ControlFlow::Continue(()));
         }
         self.take_parsed(Instant::now(), || parse(line))
-    }
-
-    /// Takes a measurement of a plant in the same process, as [`Self::take`] does.
-    ///
-    /// # Errors
-    /// Returns an error if the answer cannot be written.
-    pub fn take_line(&mut self, line: Line) -> io::Result<()> {
-        self.take_parsed(Instant::now(), || Ok(line)).map(|_| ())
     }
 
     /// Returns the time of the next sample, s.
@@ -315,9 +375,9 @@ impl<W: Write> Server<W> {
         self.driver.controller().rod()
     }
 
-    /// Returns the place where lines are written.
-    pub fn output(&mut self) -> &mut W {
-        &mut self.output
+    /// Returns the plant's side, which hears the lines.
+    pub fn peer(&mut self) -> &mut P {
+        &mut self.peer
     }
 
     fn take_parsed(
@@ -427,7 +487,7 @@ impl<W: Write> Server<W> {
             fallbacks: record.fallbacks.clone(),
             rotation_change: record.rotation_change,
         };
-        write(&mut self.output, &served)?;
+        self.peer.hear(Said::Summary(&served))?;
         Ok(served)
     }
 
@@ -547,11 +607,11 @@ impl<W: Write> Server<W> {
         let error = ErrorLine {
             kind: "error",
             line: self.n_lines,
-            place: &refusal.place,
-            message: &refusal.message,
-            help: &refusal.help,
+            place: refusal.place.clone(),
+            message: refusal.message.clone(),
+            help: refusal.help.clone(),
         };
-        write(&mut self.output, &error)
+        self.peer.hear(Said::Error(&error))
     }
 
     /// Answers with the command of the sample at time `t`, and prepares the next one.
@@ -611,7 +671,7 @@ impl<W: Write> Server<W> {
             phases_s,
             ..command(&responded, sample.t, self.intake.rotation_change)
         };
-        write(&mut self.output, &line)?;
+        self.peer.hear(Said::Command(&line))?;
         let answered = begin.elapsed().as_secs_f64();
         let sample = responded.prepare();
         self.prepared_in = sample.prepare_s;
@@ -633,7 +693,7 @@ impl<W: Write> Server<W> {
             },
             ..command(&self.driver, t, self.intake.rotation_change)
         };
-        write(&mut self.output, &line)
+        self.peer.hear(Said::Command(&line))
     }
 
     fn note(&mut self, sample: &Sample, answered: f64) {
@@ -688,24 +748,19 @@ fn parse(line: &[u8]) -> Result<Line, Refusal> {
     })
 }
 
-/// Writes a line at once.
-fn write(output: &mut impl Write, line: &impl serde::Serialize) -> io::Result<()> {
-    let mut text = serde_json::to_vec(line)?;
-    text.push(b'\n');
-    output.write_all(&text)?;
-    output.flush()
-}
-
 /// Returns the last command without the data of a sample.
 fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> CommandLine {
     let told = driver.told();
-    let wrenches = (told.nodes.iter().zip(told.from.iter().zip(&told.to)))
-        .map(|(&node, (from, to))| WrenchLine {
-            node,
-            force_from_n: from.force.into(),
-            force_to_n: to.force.into(),
-            moment_from_n_m: from.moment.into(),
-            moment_to_n_m: to.moment.into(),
+    let wrenches = (told.nodes().iter())
+        .map(|&node| {
+            let [from, to] = [false, true].map(|at_end| told.wrench_on(node, at_end));
+            WrenchLine {
+                node,
+                force_from_n: from.force.into(),
+                force_to_n: to.force.into(),
+                moment_from_n_m: from.moment.into(),
+                moment_to_n_m: to.moment.into(),
+            }
         })
         .collect();
     let efforts = driver.controller().efforts(told);
@@ -715,6 +770,8 @@ fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> Comman
         time_s,
         from_s: told.start,
         to_s: told.end,
+        controls_from: told.from.clone(),
+        controls_to: told.to.clone(),
         wrenches,
         efforts: efforts
             .map(|(name, [from, to])| EffortLine {
@@ -732,5 +789,18 @@ fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> Comman
         innovation: None,
         advice: Vec::new(),
         phases_s: Phases::default(),
+    }
+}
+
+impl Server<Heard> {
+    /// Answers a measurement of a plant in the same process, and prepares the next sample.
+    ///
+    /// # Errors
+    /// Returns no error but those of the type.
+    pub fn answer_line(&mut self, line: Line) -> io::Result<&Heard> {
+        self.peer.errors.clear();
+        self.peer.command = None;
+        let _ = self.take_parsed(Instant::now(), || Ok(line))?;
+        Ok(&self.peer)
     }
 }

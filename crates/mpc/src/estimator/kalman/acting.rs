@@ -1,15 +1,13 @@
 //! The command that acts on the model of a Kalman filter.
 
 use crate::command::Command;
-use mechanics::Wrench;
 
 /// The present command, the end of the one before, and the present command shifted by a delay.
 #[derive(Debug, Default)]
 pub(super) struct Acting {
     command: Command,
-    /// Wrenches at the end of the command before, on the nodes of this one, and its efforts there.
-    before: Vec<Wrench>,
-    efforts_before: Vec<f64>,
+    /// Values at the end of the command before.
+    before: Vec<f64>,
     later: Command,
 }
 
@@ -21,18 +19,12 @@ impl Acting {
         if own == command {
             return;
         }
-        self.before.clear();
-        for (node, from) in command.nodes.iter().zip(&command.from) {
-            let at = own.nodes.iter().position(|other| other == node);
-            self.before.push(at.map_or(*from, |at| own.to[at]));
-        }
-        let is_first = own.efforts_to.len() != command.efforts_from.len();
-        let before = if is_first {
-            &command.efforts_from
+        let before = if own.has_list_of(command) {
+            &own.to
         } else {
-            &own.efforts_to
+            &command.from
         };
-        self.efforts_before.clone_from(before);
+        self.before.clone_from(before);
         own.clone_from(command);
     }
 
@@ -47,23 +39,16 @@ impl Acting {
         };
         let (own, out) = (&self.command, &mut self.later);
         out.clone_from(own);
-        for (i, before) in self.efforts_before.iter().enumerate() {
-            if let Some(&lag) = own.lags.get(i).filter(|lag| **lag > 0.0) {
+        for (c, control) in own.list.controls().iter().enumerate() {
+            if control.lag > 0.0 {
                 // The course u(t - delay), which has no jump.
-                let off = own.efforts_acting[i] - own.efforts_from[i];
-                out.efforts_acting[i] = own.efforts_from[i] + off * (delay / lag).exp();
+                let off = own.acting[c] - own.from[c];
+                out.acting[c] = own.from[c] + off * (delay / control.lag).exp();
                 continue;
             }
-            let change = (own.efforts_to[i] - before) * part;
-            out.efforts_from[i] -= change;
-            out.efforts_to[i] -= change;
-        }
-        for (i, before) in self.before.iter().enumerate() {
-            let force = (own.to[i].force - before.force) * part;
-            let moment = (own.to[i].moment - before.moment) * part;
-            for wrench in [&mut out.from[i], &mut out.to[i]] {
-                wrench.force -= force;
-                wrench.moment -= moment;
+            let change = (own.to[c] - self.before[c]) * part;
+            for values in [&mut out.from, &mut out.to, &mut out.acting] {
+                values[c] -= change;
             }
         }
         out
