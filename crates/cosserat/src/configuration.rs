@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::rotation::{exp, log};
+use super::section::NodeInertia;
 use super::state_tangent::StateTangent;
 
 /// Positions (m) and rotations of all nodes.
@@ -91,6 +92,19 @@ impl State {
             linear_momentum: vec![Vector3::zeros(); n],
             angular_momentum: vec![Vector3::zeros(); n],
         }
+    }
+
+    /// Returns velocity (spatial, m/s) and angular velocity (body frame, rad/s) of every node, `p/m` and `π/J`, for the inertia of the nodes.
+    #[must_use]
+    pub fn velocities(&self, nodes: &[NodeInertia]) -> [Vec<Vector3<f64>>; 2] {
+        let linear = self.linear_momentum.iter().zip(nodes);
+        let angular = self.angular_momentum.iter().zip(nodes);
+        [
+            linear.map(|(p, node)| p / node.mass).collect(),
+            angular
+                .map(|(pi, node)| pi.component_div(&node.rotary))
+                .collect(),
+        ]
     }
 
     /// Returns the tangent at `reference` that leads here: `x - x̄`, `log(R̄ᵀ R)`, `p - p̄`, `π - π̄`. The momenta of a turned node are

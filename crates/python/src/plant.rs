@@ -463,12 +463,7 @@ type StateArrays<'py> = (
 
 fn state_arrays<'py>(py: Python<'py>, rod: &Rod, state: &State) -> StateArrays<'py> {
     let configuration = &state.configuration;
-    let velocities: Vec<_> = (state.linear_momentum.iter().zip(&rod.nodes))
-        .map(|(momentum, node)| momentum / node.mass)
-        .collect();
-    let spins: Vec<_> = (state.angular_momentum.iter().zip(&rod.nodes))
-        .map(|(momentum, node)| momentum.component_div(&node.rotary))
-        .collect();
+    let [velocities, spins] = state.velocities(&rod.nodes);
     (
         array_of_vectors(py, &configuration.positions),
         array_of_matrices(py, &configuration.rotations),
