@@ -9,6 +9,9 @@ use super::state_tangent::StateTangent;
 /// Positions (m) and rotations of all nodes.
 pub type Poses<'a> = (&'a [Vector3<f64>], &'a [Matrix3<f64>]);
 
+/// Position (m) and rotation of one node.
+pub type NodePose = (Vector3<f64>, Matrix3<f64>);
+
 /// Position and rotation of every node.
 #[derive(Debug, PartialEq)]
 pub struct Configuration {
@@ -23,6 +26,21 @@ impl Configuration {
     #[must_use]
     pub fn poses(&self) -> Poses<'_> {
         (&self.positions, &self.rotations)
+    }
+
+    /// Carries all nodes along as a rigid body that moves from one pose to another: `x' + R' Rᵀ (x_q - x)` and `R' Rᵀ R_q`.
+    pub fn carry(&mut self, from: NodePose, to: NodePose) {
+        let turn = to.1 * from.1.transpose();
+        for (x, r) in self.positions.iter_mut().zip(&mut self.rotations) {
+            *x = to.0 + turn * (*x - from.0);
+            *r = turn * *r;
+        }
+    }
+
+    /// Carries all nodes along, as a rigid body with node 0, to where this one has a pose, without rounding there.
+    pub fn carry_base(&mut self, to: NodePose) {
+        self.carry((self.positions[0], self.rotations[0]), to);
+        (self.positions[0], self.rotations[0]) = to;
     }
 
     /// Returns the node that is farthest from its place in other positions, the first of several, and its distance, m.

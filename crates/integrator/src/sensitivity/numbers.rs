@@ -13,7 +13,7 @@
 
 use std::marker::PhantomData;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
 use super::linearize::{Reach, Weights, Workspace, element_at, is_possible};
@@ -22,7 +22,7 @@ use crate::buffer::Buffer;
 use crate::lanes::vector::{Lanes, Row, Vec3, rows};
 use crate::lanes::{CountLanes, dispatch};
 use crate::linearization::{AdjointSweep, Defects, Motion, RightHandSide, StateTangent};
-use cosserat::configuration::{Configuration, State, Trajectory};
+use cosserat::configuration::{NodePose, State, Trajectory};
 use cosserat::element::{
     ActivePoint, AnyTurn, Density, Element, Helical, MildTurn, RodModel, StrainRule, Stress,
     TangentRule, Trapezoidal,
@@ -139,9 +139,9 @@ impl Side {
             control: Some(own.control),
             ..*motion
         };
-        let still = |of: &Trajectory, k: usize| State::at_rest(shape_at(of, k));
+        let still = |of: &Trajectory, k: usize| State::at_rest(of.configuration(k));
         let start = State {
-            configuration: shape_at(along, 0),
+            configuration: along.configuration(0),
             ..motion.initial.clone()
         };
         Ok(Self {
@@ -152,15 +152,8 @@ impl Side {
     }
 }
 
-fn shape_at(trajectory: &Trajectory, k: usize) -> Configuration {
-    Configuration {
-        positions: trajectory.positions_at(k).to_vec(),
-        rotations: trajectory.rotations_at(k).to_vec(),
-    }
-}
-
 /// Returns the pose to which the base of a rod is held at a time; `None` for a free one.
-fn base_at(rod: &Rod, t: f64) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+fn base_at(rod: &Rod, t: f64) -> Option<NodePose> {
     if rod.base == EndCondition::Free {
         return None;
     }
@@ -185,13 +178,9 @@ fn carried(motion: &Motion, trajectory: &Trajectory, rod: &Rod) -> Option<Trajec
     let mut out = Trajectory::with_capacity(n, grid.n_steps + 1);
     for k in 0..=grid.n_steps {
         let t = grid.time(k);
-        let mut shape = shape_at(trajectory, k);
-        if let (Some((from, before)), Some((to, after))) = (base_at(own, t), base_at(rod, t)) {
-            let turn = after * before.transpose();
-            for (x, r) in shape.positions.iter_mut().zip(&mut shape.rotations) {
-                *x = to + turn * (*x - from);
-                *r = turn * *r;
-            }
+        let mut shape = trajectory.configuration(k);
+        if let (Some(from), Some(to)) = (base_at(own, t), base_at(rod, t)) {
+            shape.carry(from, to);
         }
         for joint in &rod.joints {
             let gap = rod.gap(joint, &shape, t);
