@@ -373,7 +373,7 @@ impl<'a> Columns<'a> {
     /// Adds what inputs do by the stress of the arm to a derivative.
     fn add_lines(&self, interval: usize, contracted: &Contracted, out: &mut RolloutGradient) {
         let (motion, m) = (self.motion, self.n_inputs);
-        let (rod, ends) = (motion.rod, motion.n_ends());
+        let (rod, ends) = (motion.rod, motion.rod.scheme.n_ends());
         if !self.drives_strains() {
             return;
         }

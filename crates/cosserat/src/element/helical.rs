@@ -73,7 +73,7 @@ impl<S: Simd> HelicalPose<S> {
 
 impl TangentRule for Helical {
     type Pose<S: Simd> = HelicalPose<S>;
-    const END_WEIGHT: f64 = 1.0;
+    const ENDS: usize = 1;
     const PATTERN: [[bool; 3]; 3] = [
         [true, true, true],
         [false, false, false],

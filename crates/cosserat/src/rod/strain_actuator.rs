@@ -599,13 +599,9 @@ impl RodActuators {
                 continue;
             }
             let (linear, psi) = stretched(&strain(q), element.length);
-            let ends = match rule {
-                StrainRule::Helical => 1,
-                StrainRule::Trapezoidal => 2,
-            };
             for point in points {
                 let at = point.in_element(Scalar, element.length);
-                out[of(point)] += at.value(point.density, &linear[..ends], psi);
+                out[of(point)] += at.value(point.density, &linear[..rule.n_ends()], psi);
             }
         }
     }

@@ -53,7 +53,7 @@ use cosserat::implicit::IntervalWeights;
 use cosserat::signal::ControlSignal;
 use cosserat::step_error::StepError;
 
-pub use self::active::{Covectors, EffortPulls, interval_share};
+pub use self::active::{Covectors, EffortPulls};
 pub use self::numbers::{Contracted, CovectorSums, Neighbor, NumberChange, change_between};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;

@@ -565,8 +565,7 @@ impl Group<'_> {
                     acting[0].1 = elastic;
                 }
             }
-            let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
-            let far = if ends == 1 { Vec3::zero(simd) } else { far };
+            let far = if R::ENDS == 1 { Vec3::zero(simd) } else { far };
             let rows = &mut out[q * ELEMENT_ROWS..][..ELEMENT_ROWS];
             for (i, (own, strain)) in [
                 (near, total.linear[0]),
@@ -635,7 +634,7 @@ impl<S: Simd, R: TangentRule> PointWork<S, R> {
     fn of(&self, at: &ActivePoint<S>) -> Lanes<S> {
         let Stress { linear, angular } = self.strain;
         let [near, far, turn] = self.along;
-        let work = if R::END_WEIGHT == 1.0 {
+        let work = if R::ENDS == 1 {
             let slopes = at.slopes::<1>(self.density, linear, angular);
             slopes.linear[0].dot(near) + slopes.angular.dot(turn)
         } else {
