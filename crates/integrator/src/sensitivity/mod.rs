@@ -18,6 +18,7 @@ mod arriving;
 mod bent;
 mod columns;
 mod combined;
+mod contracted;
 mod conveyor;
 mod dilated;
 pub mod linearize;
@@ -54,7 +55,8 @@ use cosserat::signal::ControlSignal;
 use cosserat::step_error::StepError;
 
 pub use self::active::{Covectors, EffortPulls};
-pub use self::numbers::{Contracted, CovectorSums, Neighbor, NumberChange, change_between};
+pub use self::contracted::{Contracted, CovectorSums};
+pub use self::numbers::{Neighbor, NumberChange, change_between};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
 pub use self::step::{
