@@ -824,6 +824,16 @@ impl RodActuators {
         self.iter().map(|actuator| actuator.effort(t)).collect()
     }
 
+    /// Returns the inputs of a signal that drives [all](crate::Efforts::of_all) actuators to these at the instant `t`: what they are beyond the
+    /// given ones, with which those of a signal add up.
+    pub fn beyond_given<'a>(
+        &'a self,
+        t: f64,
+        inputs: impl Iterator<Item = f64> + 'a,
+    ) -> impl Iterator<Item = f64> + 'a {
+        (inputs.zip(self.iter())).map(move |(input, actuator)| input - actuator.effort(t))
+    }
+
     /// Writes the given inputs that the steps beside a time node take.
     pub fn write_efforts(&self, node: &TimeNode, out: &mut [f64]) {
         for (out, actuator) in out.iter_mut().zip(self.iter()) {
