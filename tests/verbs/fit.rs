@@ -630,32 +630,40 @@ impl Motion {
     }
 }
 
+const MODULUS: &str = "rod.material.youngs_modulus_pa";
+
+/// Writes the arm with a force at its tip, and recordings of its motion with a modulus of 1e6 Pa under some forces, by clocks that are ahead by so many
+/// seconds; returns their sections of a file of data.
+fn recordings_under(desk: &Desk, forces: &[(&str, f64)]) -> Vec<String> {
+    let load = "[[load]]\nnode = \"tip\"\nforce_n = [0.0, 0.0, 0.0]\n";
+    desk.write("arm.toml", &format!("{SCENE}{load}"));
+    let truth = format!("{MODULUS}=1e6");
+    (forces.iter().enumerate())
+        .map(|(i, (force, ahead))| {
+            let set = format!("load.0.force_n={force}");
+            let mut made = Motion::new(desk, 3, &[&truth, &set, "time.step_s=1e-4"]);
+            made.record.t.iter_mut().for_each(|t| *t += ahead);
+            desk.write(&format!("{i}.csv"), &made.places("tip", 6, || 0.0));
+            format!("[[recording]]\ncsv = \"{i}.csv\"\nset = [\"{set}\"]\n")
+        })
+        .collect()
+}
+
 /// Two recordings of one arm under different loads count both: the information on the modulus, one over the square of its standard error by
 /// the noise, is the sum of that of either alone. A third one, under a load of its own, is predicted without being fitted. Without noise
 /// all of them have the truth as their estimate, but for the finer time step of the fit.
 #[test]
 fn several_recordings_add_their_information() {
     let desk = Desk::new();
-    let load = "[[load]]\nnode = \"tip\"\nforce_n = [0.0, 0.0, 0.0]\n";
-    desk.write("arm.toml", &format!("{SCENE}{load}"));
-    let modulus = "rod.material.youngs_modulus_pa";
     let forces = [
         "[0.05, 0.0, 0.0]",
         "[0.0, 0.04, 0.02]",
         "[-0.03, 0.02, 0.0]",
     ];
-    let truth = format!("{modulus}=1e6");
-    let recordings: Vec<String> = (forces.iter().enumerate())
-        .map(|(i, force)| {
-            let set = format!("load.0.force_n={force}");
-            let made = Motion::new(&desk, 3, &[&truth, &set, "time.step_s=1e-4"]);
-            desk.write(&format!("{i}.csv"), &made.places("tip", 6, || 0.0));
-            format!("[[recording]]\ncsv = \"{i}.csv\"\nset = [\"{set}\"]\n")
-        })
-        .collect();
+    let recordings = recordings_under(&desk, &forces.map(|force| (force, 0.0)));
     let fit = |parts: &[&str]| {
         desk.write("data.toml", &format!("{MARKERS}{}", parts.concat()));
-        let fit = ["fit", "arm.toml", "--data", "data.toml", "--free", modulus];
+        let fit = ["fit", "arm.toml", "--data", "data.toml", "--free", MODULUS];
         let (code, summary, talk) = desk.run(&[&fit[..], &["--out", "fit"]].concat());
         assert_eq!(code, DONE, "{talk}");
         assert!((value(&summary, 0, "value") / 1e6 - 1.0).abs() < 1e-3);
@@ -686,30 +694,11 @@ fn several_recordings_add_their_information() {
 #[test]
 fn clocks_of_recordings_are_found() {
     let desk = Desk::new();
-    let load = "[[load]]\nnode = \"tip\"\nforce_n = [0.0, 0.0, 0.0]\n";
-    desk.write("arm.toml", &format!("{SCENE}{load}"));
-    let modulus = "rod.material.youngs_modulus_pa";
-    let mut data = MARKERS.to_string();
-    for (i, (force, ahead)) in [("[0.05, 0.0, 0.0]", 0.012), ("[0.0, 0.04, 0.02]", -0.007)]
-        .into_iter()
-        .enumerate()
-    {
-        let set = format!("load.0.force_n={force}");
-        let mut made = Motion::new(
-            &desk,
-            3,
-            &[&format!("{modulus}=1e6"), &set, "time.step_s=1e-4"],
-        );
-        for t in &mut made.record.t {
-            *t += ahead;
-        }
-        desk.write(&format!("{i}.csv"), &made.places("tip", 6, || 0.0));
-        let _ = write!(
-            data,
-            "[[recording]]\ncsv = \"{i}.csv\"\nset = [\"{set}\"]\n"
-        );
-    }
-    desk.write("data.toml", &data);
+    let recordings = recordings_under(
+        &desk,
+        &[("[0.05, 0.0, 0.0]", 0.012), ("[0.0, 0.04, 0.02]", -0.007)],
+    );
+    desk.write("data.toml", &format!("{MARKERS}{}", recordings.concat()));
     let fit = |free: &str| {
         let words = [
             "fit",
@@ -723,7 +712,7 @@ fn clocks_of_recordings_are_found() {
         ];
         desk.run(&words)
     };
-    let (code, _, talk) = fit(&format!("{modulus},recording.none.clock_s"));
+    let (code, _, talk) = fit(&format!("{MODULUS},recording.none.clock_s"));
     assert_ne!(code, DONE);
     let first = talk.split('"').nth(1).unwrap_or_default().to_string();
     assert!(
@@ -731,14 +720,14 @@ fn clocks_of_recordings_are_found() {
         "{talk}"
     );
     let second = talk.split('"').nth(3).unwrap_or_default().to_string();
-    let free = format!("{modulus},recording.{first}.clock_s,recording.{second}.clock_s");
+    let free = format!("{MODULUS},recording.{first}.clock_s,recording.{second}.clock_s");
     let (code, summary, talk) = fit(&free);
     assert_eq!(code, DONE, "{talk}");
     for (index, truth, most) in [(0, 1e6, 1e3), (1, 0.012, 5e-5), (2, -0.007, 5e-5)] {
         let found = value(&summary, index, "value");
         assert!((found - truth).abs() < most, "{found} {truth} {talk}");
     }
-    let (code, summary, talk) = fit(&format!("{modulus},clock_s"));
+    let (code, summary, talk) = fit(&format!("{MODULUS},clock_s"));
     assert_eq!(code, DONE, "{talk}");
     let both = value(&summary, 1, "value");
     assert!(-0.007 < both && both < 0.012, "{both}");

@@ -156,13 +156,7 @@ unsafe fn put(pointer: *mut f64, numbers: impl Iterator<Item = f64>) {
 unsafe fn put_state(rod: &Rod, state: &State, out: [*mut f64; 4]) {
     let shape = &state.configuration;
     let flat = |vectors: &[Vector3<f64>]| vectors.iter().flatten().copied().collect::<Vec<_>>();
-    let nodes = || rod.nodes.iter();
-    let velocities: Vec<_> = (nodes().zip(&state.linear_momentum))
-        .map(|(node, p)| p / node.mass)
-        .collect();
-    let spins: Vec<_> = (nodes().zip(&state.angular_momentum))
-        .map(|(node, p)| p.component_div(&node.rotary))
-        .collect();
+    let [velocities, spins] = state.velocities(&rod.nodes);
     let rows =
         |m: &softarm::nalgebra::Matrix3<f64>| m.transpose().iter().copied().collect::<Vec<_>>();
     let turned: Vec<f64> = shape.rotations.iter().flat_map(rows).collect();

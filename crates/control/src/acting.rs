@@ -8,10 +8,9 @@ use super::problem::{Component, OptimalControlProblem};
 use mechanics::actuator::{StateView, flat};
 use mechanics::curvature::OwnCurvature;
 use mechanics::linearization::{AdjointSweep, Motion};
-use mechanics::sensitivity::{EffortPulls, Sensitivities, interval_share};
+use mechanics::sensitivity::{EffortPulls, Sensitivities};
 use mechanics::{
-    ControlSignal, EffortLaw, FormTerm, PlacedFunction, Posed, StateForm, TimeScheme, Trajectory,
-    Wrench,
+    ControlSignal, EffortLaw, FormTerm, PlacedFunction, Posed, StateForm, Trajectory, Wrench,
 };
 
 /// The thing that a component of the control acts on.
@@ -136,7 +135,7 @@ impl<'a> ActingAlong<'a> {
     /// Calls `visit(coefficient, derivative)` for the coefficients of the control on which the effort of a driven actuator depends in a set
     /// of [pulls](Self::pulls), along the input of the actuator.
     pub fn visit_efforts(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64)) {
-        let ends = self.ends();
+        let ends = self.problem.rod.scheme.n_ends();
         let slope = self.law(set, index).along_input / ends as f64;
         for time in set..set + ends {
             for (coefficient, weight) in self.problem.control.weights(time) {
@@ -144,14 +143,6 @@ impl<'a> ActingAlong<'a> {
                     visit(coefficient, weight * slope);
                 }
             }
-        }
-    }
-
-    /// Returns the number of time nodes whose inputs have a part in a set of pulls.
-    fn ends(&self) -> usize {
-        match self.problem.rod.scheme {
-            TimeScheme::Explicit => 1,
-            TimeScheme::Implicit => 2,
         }
     }
 
@@ -394,7 +385,7 @@ impl<'a> ActingAlong<'a> {
             .collect();
         let covector = |set: usize, end: usize, node: usize| {
             let wrench = costates.wrench(motion, set + end, node);
-            let share = self.share(set + end);
+            let share = rod.scheme.share(set + end, motion.grid.n_steps);
             Wrench {
                 force: wrench.force * share,
                 moment: wrench.moment * share,
@@ -402,7 +393,7 @@ impl<'a> ActingAlong<'a> {
         };
         let pulls = EffortPulls::of(motion, trajectory, &winches, Some(&covector));
         let rows: Vec<(usize, usize)> = (0..6 * rod.n_nodes()).map(|i| (i / 6, i % 6)).collect();
-        let ends = self.ends();
+        let ends = rod.scheme.n_ends();
         for (set, laws) in self.laws.iter().enumerate() {
             for (at, &winch) in winches.iter().enumerate() {
                 // The coordinate at the mean strain has one half of the pull at either end for its derivative.
@@ -530,7 +521,8 @@ impl<'a> ActingAlong<'a> {
         };
         let problem = self.problem;
         let n_components = components.len();
-        let ends = self.ends();
+        let scheme = problem.rod.scheme;
+        let ends = scheme.n_ends();
         for set in 0..self.laws.len() {
             let driven = components.iter().enumerate().flat_map(|(at, component)| {
                 let own = problem.driven_by(component);
@@ -544,7 +536,7 @@ impl<'a> ActingAlong<'a> {
                 // The work of the costates in the pull of a unit effort.
                 let work: f64 = (0..ends)
                     .map(|end| {
-                        let share = self.share(set + end);
+                        let share = scheme.share(set + end, motion.grid.n_steps);
                         let pull = pulls.wrenches(set, end, index).chunks_exact(6);
                         let works = pull.enumerate().map(|(node, wrench)| {
                             let own = costates.wrench(motion, set + end, node).to_array();
@@ -584,14 +576,6 @@ impl<'a> ActingAlong<'a> {
                     ],
                 });
             }
-        }
-    }
-
-    /// Returns the part that a set has in the mean force at a time node at one of its ends.
-    fn share(&self, k: usize) -> f64 {
-        match self.problem.rod.scheme {
-            TimeScheme::Explicit => 1.0,
-            TimeScheme::Implicit => interval_share(k, self.problem.grid.n_steps),
         }
     }
 }

@@ -15,7 +15,7 @@ use super::turns::rotation_error;
 use mechanics::direction::Deviation;
 use mechanics::element::{ElementPose, IntervalStress};
 use mechanics::rotation::{log, log_tangent};
-use mechanics::{FormTerm, Rod, StateForm, StrainRule, TimeGrid};
+use mechanics::{FormTerm, Rod, StateForm, TimeGrid};
 
 /// The quantity of a residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,7 +83,7 @@ impl ResidualKind {
     pub fn n_rows(self, rod: &Rod) -> usize {
         match self {
             Self::Term { .. } => 1,
-            Self::Energy(_) => 3 * n_ends(rod) + 3,
+            Self::Energy(_) => 3 * rod.strain_rule.n_ends() + 3,
             Self::Goal { part, .. } => part.n_rows(),
             Self::TrackDirection(_) => 2,
             _ => 3,
@@ -100,14 +100,6 @@ impl ResidualKind {
             ),
             _ => false,
         }
-    }
-}
-
-/// Ends of an element whose linear strains differ: one under the helical rule.
-fn n_ends(rod: &Rod) -> usize {
-    match rod.strain_rule {
-        StrainRule::Helical => 1,
-        StrainRule::Trapezoidal => 2,
     }
 }
 
@@ -175,7 +167,8 @@ impl Residual {
                 let element = &rod.elements[q];
                 let strain = (rod.strain_rule).strain(element.length, &pose(view, k, q));
                 let factors = energy_factors(rod, q, self.weight);
-                for end in 0..n_ends(rod) {
+                let ends = rod.strain_rule.n_ends();
+                for end in 0..ends {
                     let linear = strain.linear[end] - element.rest.linear[end];
                     for axis in 0..3 {
                         write(3 * end + axis, factors[0][axis] * linear[axis]);
@@ -183,7 +176,7 @@ impl Residual {
                 }
                 let angular = strain.curvature - element.rest.curvature;
                 for axis in 0..3 {
-                    write(3 * n_ends(rod) + axis, factors[1][axis] * angular[axis]);
+                    write(3 * ends + axis, factors[1][axis] * angular[axis]);
                 }
             }
             ResidualKind::Goal { goal, part, longer } => {
@@ -251,11 +244,12 @@ impl Residual {
                         write(row, 0, term);
                     }
                 };
-                for (row, component) in (0..3 * n_ends(rod)).enumerate() {
+                let ends = rod.strain_rule.n_ends();
+                for (row, component) in (0..3 * ends).enumerate() {
                     add(row, component, factors[0][component % 3]);
                 }
                 for axis in 0..3 {
-                    add(3 * n_ends(rod) + axis, 6 + axis, factors[1][axis]);
+                    add(3 * ends + axis, 6 + axis, factors[1][axis]);
                 }
             }
             ResidualKind::Goal { goal, part, longer } => {
@@ -479,8 +473,9 @@ fn energy_factors(rod: &Rod, q: usize, weight: f64) -> [Vector3<f64>; 2] {
     let element = &rod.elements[q];
     let weight = weight * element.length;
     let of = |stiffness: &Vector3<f64>, weight: f64| stiffness.map(|k| (weight * k).sqrt());
+    let ends = rod.strain_rule.n_ends();
     [
-        of(&element.linear_stiffness, weight / n_ends(rod) as f64),
+        of(&element.linear_stiffness, weight / ends as f64),
         of(&element.angular_stiffness, weight),
     ]
 }

@@ -3,10 +3,14 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::rotation::{exp, log};
+use super::section::NodeInertia;
 use super::state_tangent::StateTangent;
 
 /// Positions (m) and rotations of all nodes.
 pub type Poses<'a> = (&'a [Vector3<f64>], &'a [Matrix3<f64>]);
+
+/// Position (m) and rotation of one node.
+pub type NodePose = (Vector3<f64>, Matrix3<f64>);
 
 /// Position and rotation of every node.
 #[derive(Debug, PartialEq)]
@@ -22,6 +26,21 @@ impl Configuration {
     #[must_use]
     pub fn poses(&self) -> Poses<'_> {
         (&self.positions, &self.rotations)
+    }
+
+    /// Carries all nodes along as a rigid body that moves from one pose to another: `x' + R' Rᵀ (x_q - x)` and `R' Rᵀ R_q`.
+    pub fn carry(&mut self, from: NodePose, to: NodePose) {
+        let turn = to.1 * from.1.transpose();
+        for (x, r) in self.positions.iter_mut().zip(&mut self.rotations) {
+            *x = to.0 + turn * (*x - from.0);
+            *r = turn * *r;
+        }
+    }
+
+    /// Carries all nodes along, as a rigid body with node 0, to where this one has a pose, without rounding there.
+    pub fn carry_base(&mut self, to: NodePose) {
+        self.carry((self.positions[0], self.rotations[0]), to);
+        (self.positions[0], self.rotations[0]) = to;
     }
 
     /// Returns the node that is farthest from its place in other positions, the first of several, and its distance, m.
@@ -91,6 +110,19 @@ impl State {
             linear_momentum: vec![Vector3::zeros(); n],
             angular_momentum: vec![Vector3::zeros(); n],
         }
+    }
+
+    /// Returns velocity (spatial, m/s) and angular velocity (body frame, rad/s) of every node, `p/m` and `π/J`, for the inertia of the nodes.
+    #[must_use]
+    pub fn velocities(&self, nodes: &[NodeInertia]) -> [Vec<Vector3<f64>>; 2] {
+        let linear = self.linear_momentum.iter().zip(nodes);
+        let angular = self.angular_momentum.iter().zip(nodes);
+        [
+            linear.map(|(p, node)| p / node.mass).collect(),
+            angular
+                .map(|(pi, node)| pi.component_div(&node.rotary))
+                .collect(),
+        ]
     }
 
     /// Returns the tangent at `reference` that leads here: `x - x̄`, `log(R̄ᵀ R)`, `p - p̄`, `π - π̄`. The momenta of a turned node are

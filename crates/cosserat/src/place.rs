@@ -1,10 +1,15 @@
 //! Places on a rod. Between nodes the strain of an element is taken as constant.
 
 use nalgebra::{Matrix3, Vector3};
+use pulp::Scalar;
 
 use super::configuration::Configuration;
+use super::element::helical::HelicalChart;
+use super::element::tangent_derivative;
 use super::mesh::Mesh;
-use super::rotation::{exp, exp_tangent, log};
+use super::rod::Rod;
+use super::rotation::{exp, exp_tangent, hat, log};
+use super::vector::Mat3;
 
 /// A place along an arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -66,6 +71,62 @@ pub fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matrix3<f64>
     let strain = whole.lu().solve(&chord).unwrap_or(chord);
     let part = exp_tangent(&(psi * s)).transpose() * s;
     (x + r * (part * strain), r * exp(&(psi * s)))
+}
+
+/// Derivatives of the [`pose`] at a fraction `s` of an element along the motions `(δx, ζ)` of its ends, spatial and body frame.
+///
+/// With the strains `ψ` and `w` of the helix through the ends, their [chart](HelicalChart) in `z = R_aᵀ (δx_b - δx_a)`, and the spatial tangent
+/// `M(v)` and the body-frame tangent `T(v)` of `exp`,
+///
+/// ```text
+/// x(s) = x_a + s R_a z_s,  z_s = M(sψ) w    δx(s) = δx_a - s R_a ẑ_s ζ_a + s R_a M(sψ) (δw - s G(sψ, z_s) δψ),   G(v, z) = ∂(S(v) z)/∂v
+/// R(s) = R_a exp(sψ)                        ζ(s)  = exp(sψ)ᵀ ζ_a + s T(sψ) δψ
+/// ```
+pub struct PoseSlopes {
+    rotation_a: Matrix3<f64>,
+    psi: Vector3<f64>,
+    chart: HelicalChart<Scalar>,
+}
+
+impl PoseSlopes {
+    /// Returns those of element `q`.
+    pub fn at(at: &Configuration, q: usize) -> Self {
+        let (chart, psi) = HelicalChart::of(&Rod::element_pose(q, &at.positions, &at.rotations));
+        Self {
+            rotation_a: at.rotations[q],
+            psi,
+            chart,
+        }
+    }
+
+    /// Returns the derivatives of the position along `δx_b - δx_a`, `ζ_a` and `ζ_b`; that along `δx_a` at constant difference is one.
+    pub fn position(&self, s: f64) -> [Matrix3<f64>; 3] {
+        let HelicalChart { y, s: tangent, g } = self.chart;
+        let turn = self.psi * s;
+        let spread = exp_tangent(&-turn);
+        let z = spread * tangent.apply(y).vector();
+        let along_turn = g.matrix() - tangent_derivative(&turn, &z, -1.0) * s;
+        // Derivatives of w less s G(sψ, z_s) δψ.
+        let less = HelicalChart {
+            g: Mat3::of_matrix(&along_turn),
+            ..self.chart
+        };
+        let ([near, _], [_, far_turn]) = (less.linear(), less.angular());
+        let outer = self.rotation_a * spread * s;
+        [
+            outer * tangent.matrix() * self.rotation_a.transpose(),
+            outer * near.matrix() - self.rotation_a * hat(&z) * s,
+            outer * along_turn * far_turn.matrix(),
+        ]
+    }
+
+    /// Returns the derivatives of the rotation along `ζ_a` and `ζ_b`.
+    pub fn rotation(&self, s: f64) -> [Matrix3<f64>; 2] {
+        let turn = self.psi * s;
+        let along_turn = exp_tangent(&turn) * s;
+        let [near, far] = (self.chart.angular()).map(|own| along_turn * own.matrix());
+        [exp(&turn).transpose() + near, far]
+    }
 }
 
 /// Returns the element at a fraction of the length, and the fraction of the element, given the [places of the nodes](crate::Rod::places).

@@ -16,7 +16,7 @@ use self::contact::Contact;
 use self::pose_actuator::{OfPose, PoseActuator, Span};
 use self::strain_actuator::{RodActuators, StrainActuator};
 use super::base_motion::BaseState;
-use super::configuration::{Configuration, State};
+use super::configuration::{Configuration, NodePose, State};
 use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::ends::{EndCondition, Joint};
@@ -269,11 +269,11 @@ pub struct Rod {
     /// Length of every element's chord in the stress-free configuration, m.
     pub rest_chords: Vec<f64>,
     /// Pose relative to which a driven base moves: position, m, and rotation, body to space.
-    pub base_reference: (Vector3<f64>, Matrix3<f64>),
+    pub base_reference: NodePose,
     /// The condition at the tip, node `K`.
     pub tip_end: EndCondition,
     /// Pose in which the tip is held, or relative to which a driven tip moves: position, m, and rotation, body to space.
-    pub tip_reference: (Vector3<f64>, Matrix3<f64>),
+    pub tip_reference: NodePose,
     /// The held ends that have a place among the moving nodes.
     pub joints: Vec<Joint>,
     /// Stress-free configuration, starting at the base pose (at t = 0).
@@ -436,19 +436,11 @@ impl Rod {
     }
 
     /// Returns the shape, moved rigidly with a driven base to its pose at time `t`.
-    pub fn carried(&self, shape: Configuration, t: f64) -> Configuration {
-        let Some(base) = self.driven_base(t) else {
-            return shape;
-        };
-        let turn = base.rotation * shape.rotations[0].transpose();
-        let from = shape.positions[0];
-        let moved = |x: &Vector3<f64>| base.position + turn * (x - from);
-        let mut out = Configuration {
-            positions: shape.positions.iter().map(moved).collect(),
-            rotations: shape.rotations.iter().map(|r| turn * r).collect(),
-        };
-        out.rotations[0] = base.rotation;
-        out
+    pub fn carried(&self, mut shape: Configuration, t: f64) -> Configuration {
+        if let Some(base) = self.driven_base(t) {
+            shape.carry_base((base.position, base.rotation));
+        }
+        shape
     }
 
     /// Moves node 0 to the pose of `base`, with the momenta `m v` and `J ω` of its motion.

@@ -7,10 +7,13 @@
 //! independently grow with the square of the turn.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
+use pulp::Scalar;
 
 use super::configuration::{Configuration, Trajectory, TrajectoryTangent};
-use super::element::{ElementPose, StrainRule, tangent_derivative};
-use super::rotation::{exp, exp_tangent, log, log_tangent};
+use super::element::helical::HelicalChart;
+use super::element::{ElementPose, StrainRule};
+use super::rotation::{exp, exp_tangent, log};
+use super::vector::Vec3;
 
 /// Smallest number of poses for a thread of its own: some hundred microseconds of work.
 const LEAST_SHARE: usize = 2048;
@@ -51,20 +54,14 @@ impl Helix {
     }
 }
 
-/// `(w, ψ)` of an element, linearized at its pose:
-///
-/// ```text
-/// δψ = Sᵀ ζ_b - S ζ_a,     δw = S (R_aᵀ (δx_b - δx_a) + y × ζ_a) + G δψ,     y = R_aᵀ (x_b - x_a),  G = ∂(S y)/∂ψ
-/// ```
+/// `(w, ψ)` of an element, linearized at its pose, and solved for the motion of its far end.
 #[derive(Clone, Copy, Debug)]
 struct Chart {
     rotation_a: Matrix3<f64>,
-    y: Vector3<f64>,
     turn: Vector3<f64>,
-    /// `S`
-    tangent: Matrix3<f64>,
+    helical: HelicalChart<Scalar>,
+    /// `S⁻¹`
     inverse: Matrix3<f64>,
-    bend: Matrix3<f64>,
 }
 
 /// Motion of a node: `δx` (spatial frame) and `ζ` (body frame).
@@ -72,43 +69,44 @@ type Move = (Vector3<f64>, Vector3<f64>);
 
 impl Chart {
     fn at(x_a: &Vector3<f64>, r_a: &Matrix3<f64>, x_b: &Vector3<f64>, r_b: &Matrix3<f64>) -> Self {
-        let turn = log(&r_a.tr_mul(r_b));
-        let y = r_a.tr_mul(&(x_b - x_a));
+        let (helical, turn) = HelicalChart::of(&ElementPose {
+            dx: x_b - x_a,
+            rotation_a: r_a,
+            rotation_b: r_b,
+        });
         Self {
             rotation_a: *r_a,
-            y,
             turn,
-            tangent: log_tangent(&turn),
+            helical,
             // The spatial tangent of the exponential.
             inverse: exp_tangent(&-turn),
-            bend: tangent_derivative(&turn, &y, -1.0),
         }
     }
 
     /// `(w, ψ)`
     fn helix(&self) -> Helix {
         Helix {
-            translation: self.tangent * self.y,
+            translation: self.helical.s.apply(self.helical.y).vector(),
             turn: self.turn,
         }
     }
 
     /// Returns `(δw, δψ)` of a motion of both ends.
     fn strain(&self, a: &Move, b: &Move) -> Helix {
-        let turn = self.tangent.tr_mul(&b.1) - self.tangent * a.1;
-        let shift = self.rotation_a.tr_mul(&(b.0 - a.0)) + self.y.cross(&a.1);
-        Helix {
-            translation: self.tangent * shift + self.bend * turn,
-            turn,
-        }
+        let shift = self.rotation_a.tr_mul(&(b.0 - a.0));
+        let motion = [shift, a.1, b.1].map(|own| Vec3::splat(Scalar, &own));
+        let [translation, turn] = self.helical.apply(motion).map(Vec3::vector);
+        Helix { translation, turn }
     }
 
-    /// Returns the motion of the far end for a given strain and a motion of the near end.
+    /// Returns the motion of the far end for a given strain and a motion of the near end: [`strain`](Self::strain), solved for that.
     fn far_end(&self, a: &Move, strain: &Helix) -> Move {
-        let shift = self.inverse * (strain.translation - self.bend * strain.turn);
+        let [near, turn] = [a.1, strain.turn].map(|own| Vec3::splat(Scalar, &own));
+        let HelicalChart { y, s, g } = self.helical;
+        let shift = self.inverse * (strain.translation - g.apply(turn).vector());
         (
-            a.0 + self.rotation_a * (shift - self.y.cross(&a.1)),
-            self.inverse.tr_mul(&(strain.turn + self.tangent * a.1)),
+            a.0 + self.rotation_a * (shift - y.cross(near).vector()),
+            (self.inverse).tr_mul(&(strain.turn + s.apply(near).vector())),
         )
     }
 }

@@ -20,6 +20,27 @@ impl TimeScheme {
             Self::Implicit => "implicit",
         }
     }
+
+    /// Returns the number of time nodes whose mean inputs are one set of inputs: the stress of actuators follows from those of a time node, or
+    /// of both ends of an interval.
+    #[must_use]
+    pub fn n_ends(self) -> usize {
+        match self {
+            Self::Explicit => 1,
+            Self::Implicit => 2,
+        }
+    }
+
+    /// Returns the part that each set of inputs beside time node `k` of `n_steps + 1` has in the mean force there: the only interval beside an
+    /// end of the grid counts whole.
+    #[must_use]
+    pub fn share(self, k: usize, n_steps: usize) -> f64 {
+        if self == Self::Explicit || k == 0 || k == n_steps {
+            1.0
+        } else {
+            0.5
+        }
+    }
 }
 
 /// A uniform time grid.

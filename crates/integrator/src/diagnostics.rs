@@ -34,7 +34,7 @@ use cosserat::implicit::IntervalWeights;
 use cosserat::inertia::InertiaRule;
 use cosserat::load::Wrench;
 use cosserat::pose_actuator::Posed;
-use cosserat::rod::{BaseCondition, Rod};
+use cosserat::rod::{BaseCondition, NodeInertia, Rod};
 use cosserat::rotation::cay_inverse;
 use cosserat::rotation_step::TurnedNode;
 use cosserat::time::TimeNode;
@@ -165,12 +165,13 @@ fn ends_of_step<'a>(
     [(start, before), (end, after)]
 }
 
-/// Returns velocity (spatial frame) and angular velocity (body frame) of every node.
+/// Returns velocity (spatial frame) and angular velocity (body frame) of every node, with the inertia of its section as it is stretched.
 fn velocities(rod: &Rod, state: &State) -> [Vec<Vector3<f64>>; 2] {
     let rotary = rod.rotary_at(&state.configuration.positions);
-    let linear = (state.linear_momentum.iter().zip(&rod.nodes)).map(|(p, node)| p / node.mass);
-    let angular = (state.angular_momentum.iter().zip(&rotary)).map(|(pi, j)| pi.component_div(j));
-    [linear.collect(), angular.collect()]
+    let inertia: Vec<_> = (rod.nodes.iter().zip(rotary))
+        .map(|(node, rotary)| NodeInertia { rotary, ..*node })
+        .collect();
+    state.velocities(&inertia)
 }
 
 /// Returns the Kelvin-Voigt stress `τ C ṡ` of every element at the velocities of `state`.

@@ -77,17 +77,11 @@ pub fn carry_to_base(rod: &Rod, shape: &mut Configuration) {
     if rod.first_free_node() == 0 {
         return;
     }
-    let (from, to) = (shape.positions[0], rod.rest.positions[0]);
-    let turn = rod.rest.rotations[0] * shape.rotations[0].transpose();
-    if from == to && turn == Matrix3::identity() {
-        return;
+    let [from, to] = [&*shape, &rod.rest].map(|own| (own.positions[0], own.rotations[0]));
+    // There already, it stays the same to the bit.
+    if from.0 != to.0 || to.1 * from.1.transpose() != Matrix3::identity() {
+        shape.carry_base(to);
     }
-    for (x, r) in shape.positions.iter_mut().zip(&mut shape.rotations) {
-        *x = to + turn * (*x - from);
-        *r = turn * *r;
-    }
-    shape.positions[0] = to;
-    shape.rotations[0] = rod.rest.rotations[0];
 }
 
 /// Returns force (N, spatial) and moment (N m, body) on every free node of a shape that need not be at rest.

@@ -289,8 +289,7 @@ impl Rollout<'_> {
         }
     }
 
-    /// Returns the signal of an interval on a rod. The efforts that are given with the rod add up with those of a signal, which has the
-    /// differences.
+    /// Returns the signal of an interval on a rod.
     fn signal(&self, rod: &Rod, interval: usize) -> ControlSignal {
         let (controls, grid) = (self.controls, self.grid(interval));
         let (m, w) = (rod.actuators.len(), controls.nodes.len());
@@ -312,11 +311,9 @@ impl Rollout<'_> {
                 });
             }
             if drives {
-                let given = rod.actuators.efforts(grid.time(k));
                 let [from, to] = rows.map(|row| &controls.inputs[row * m..][..m]);
-                let inputs = from.iter().zip(to).zip(given);
-                (out.inputs)
-                    .extend(inputs.map(|((a, b), given)| a * parts[0] + b * parts[1] - given));
+                let inputs = (from.iter().zip(to)).map(|(a, b)| a * parts[0] + b * parts[1]);
+                (out.inputs).extend(rod.actuators.beyond_given(grid.time(k), inputs));
             }
         }
         out
@@ -373,7 +370,7 @@ impl<'a> Columns<'a> {
     /// Adds what inputs do by the stress of the arm to a derivative.
     fn add_lines(&self, interval: usize, contracted: &Contracted, out: &mut RolloutGradient) {
         let (motion, m) = (self.motion, self.n_inputs);
-        let (rod, ends) = (motion.rod, motion.n_ends());
+        let (rod, ends) = (motion.rod, motion.rod.scheme.n_ends());
         if !self.drives_strains() {
             return;
         }

@@ -31,7 +31,7 @@ use control::{Component, Enforcement, Goal, OptimalControlProblem, Shape, residu
 use mechanics::forms::NODE_COMPONENTS;
 use mechanics::linearization::{Motion, StateTangent};
 use mechanics::sensitivity::{EffortPulls, RepeatedReverse};
-use mechanics::{ControlSignal, Rod, State, StepError, TimeGrid, TimeScheme, Trajectory, Wrench};
+use mechanics::{ControlSignal, Rod, State, StepError, TimeGrid, Trajectory, Wrench};
 use stop::StopSignal;
 
 /// Negligible error of a tracked quantity, divided by the length, or in rad: a tenth of the default accuracy of a scene, 1e-3. Plans that
@@ -74,14 +74,6 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
         }
     };
     Some(components.iter().map(of).collect())
-}
-
-/// Returns the number of time nodes on whose efforts the stress of an actuator depends.
-fn ends(problem: &OptimalControlProblem) -> usize {
-    match problem.rod.scheme {
-        TimeScheme::Explicit => 1,
-        TimeScheme::Implicit => 2,
-    }
 }
 
 /// Returns the actuators in the arm whose efforts are controls.
@@ -274,7 +266,7 @@ impl Horizon {
                 of_poses: &of_poses,
                 rod: &problem.rod,
                 trajectory: &trajectory,
-                ends: ends(&problem),
+                ends: problem.rod.scheme.n_ends(),
                 scales: &scales,
                 n,
             };
@@ -564,7 +556,7 @@ impl Horizon {
             of_poses: &self.of_poses,
             rod: &self.problem.rod,
             trajectory: &self.trajectory,
-            ends: ends(&self.problem),
+            ends: self.problem.rod.scheme.n_ends(),
             scales: &self.scales,
             n: self.square.nrows(),
         };

@@ -144,8 +144,7 @@ impl<'a> Packed<'a> {
         }
     }
 
-    /// Packs what acts after a part of the call, at the time `t`. The given efforts of the scene add up with those of a signal, which has
-    /// the differences.
+    /// Packs what acts after a part of the call, at the time `t`.
     fn pack(&mut self, rod: &Rod, part: f64, t: f64) {
         let between = |a: f64, b: f64| a + (b - a) * part;
         self.wrenches.clear();
@@ -157,12 +156,8 @@ impl<'a> Packed<'a> {
                 moment: from.moment.zip_map(&to.moment, between),
             }));
         let [from, to] = &self.acting.efforts;
-        if !from.is_empty() {
-            let given = rod.actuators.efforts(t);
-            let more = (from.iter().zip(to).zip(given))
-                .map(|((from, to), given)| between(*from, *to) - given);
-            self.inputs.extend(more);
-        }
+        let efforts = (from.iter().zip(to)).map(|(from, to)| between(*from, *to));
+        self.inputs.extend(rod.actuators.beyond_given(t, efforts));
     }
 
     fn view(&self) -> NodeWrenches<'_> {
@@ -463,12 +458,7 @@ type StateArrays<'py> = (
 
 fn state_arrays<'py>(py: Python<'py>, rod: &Rod, state: &State) -> StateArrays<'py> {
     let configuration = &state.configuration;
-    let velocities: Vec<_> = (state.linear_momentum.iter().zip(&rod.nodes))
-        .map(|(momentum, node)| momentum / node.mass)
-        .collect();
-    let spins: Vec<_> = (state.angular_momentum.iter().zip(&rod.nodes))
-        .map(|(momentum, node)| momentum.component_div(&node.rotary))
-        .collect();
+    let [velocities, spins] = state.velocities(&rod.nodes);
     (
         array_of_vectors(py, &configuration.positions),
         array_of_matrices(py, &configuration.rotations),

@@ -405,10 +405,9 @@ impl Motions {
                 for matrix in &shape.rotations {
                     parts[1].extend(matrix.transpose().iter());
                 }
-                for (q, node) in arm.arm.rod.nodes.iter().enumerate() {
-                    parts[2].extend((state.linear_momentum[q] / node.mass).iter());
-                    parts[3].extend(state.angular_momentum[q].component_div(&node.rotary).iter());
-                }
+                let [velocities, spins] = state.velocities(&arm.arm.rod.nodes);
+                parts[2].extend(velocities.iter().flatten());
+                parts[3].extend(spins.iter().flatten());
             }
         }
         let [x, r, v, w] = parts;

@@ -501,7 +501,6 @@ impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
         } = self;
         let simd = tangent.angular.rows[0].x.simd;
         let zero = Mat3::zero(simd);
-        let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
         for j in 0..3 {
             // T R, column j: of the strains at the ends and of the angular one.
             let turn = right[2][j];
@@ -511,7 +510,7 @@ impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
                 zero
             };
             let mut linear = [zero; 2];
-            for end in 0..ends {
+            for end in 0..R::ENDS {
                 if R::PATTERN[end][j] {
                     let moved = right[end][j];
                     linear[end] = tangent.linear[end].product(moved);
@@ -524,7 +523,7 @@ impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
             for i in 0..3 {
                 // Added at once: every sum with the stiffness of the arm itself is rounded by the size of that.
                 let mut block = zero;
-                for end in 0..ends {
+                for end in 0..R::ENDS {
                     if R::PATTERN[end][i] {
                         block = block + left[end][i].transposed_product(linear[end]);
                     }

@@ -8,10 +8,13 @@
 //! F = R_a w,   M_a = w × y - Sᵀ μ,   M_b = S μ,     w = Sᵀ n,   μ = m + Gᵀ n
 //! ```
 
-use pulp::Simd;
+use nalgebra::Vector3;
+use pulp::{Scalar, Simd};
 
+use super::ElementPose;
 use super::rule::{Blocks, Elasticity, Helical, Stress, TangentRule};
 use crate::logarithm::{Logarithm, logarithm};
+use crate::rotation::{log, log_tangent};
 use crate::vector::{Lanes, Mat3, Quaternion, Vec3};
 
 /// Returns `S(ψ) = I - ψ̂/2 + c ψ̂²`.
@@ -46,34 +49,102 @@ fn curvature_of_coupling<S: Simd>(log: &Logarithm<S>, n: Vec3<S>, y: Vec3<S>) ->
     hess_q * log.c + turned * log.slope + own * q
 }
 
+/// The strains `(S y, ψ)` of an element, linearized at a pose: `δψ = Sᵀ η_b - S η_a` and `δ(S y) = S (z + y × η_a) + G δψ`, with the motion
+/// `z = R_aᵀ δdx` of the chord in the frame of end a.
+#[derive(Clone, Copy, Debug)]
+pub struct HelicalChart<S: Simd> {
+    /// `R_aᵀ dx`
+    pub y: Vec3<S>,
+    /// `S = I - ψ̂/2 + c ψ̂²`
+    pub s: Mat3<S>,
+    /// `G = ∂(S y)/∂ψ`
+    pub g: Mat3<S>,
+}
+
+impl<S: Simd> HelicalChart<S> {
+    #[inline(always)]
+    pub fn at(log: &Logarithm<S>, y: Vec3<S>) -> Self {
+        Self {
+            y,
+            s: inverse_tangent(log),
+            g: tangent_derivative(log, y, -1.0),
+        }
+    }
+
+    /// Returns the derivatives of `ψ` along `η_a` and `η_b`.
+    #[inline(always)]
+    pub fn angular(&self) -> [Mat3<S>; 2] {
+        [-self.s, self.s.transpose()]
+    }
+
+    /// Returns the derivatives of `S y` along `η_a` and `η_b`; that along `z` is `S`.
+    #[inline(always)]
+    pub fn linear(&self) -> [Mat3<S>; 2] {
+        [
+            self.s.product_hat(self.y) - self.g.product(self.s),
+            self.g.product_transposed(self.s),
+        ]
+    }
+
+    /// Returns `δ(S y)` and `δψ` of a motion `(z, η_a, η_b)`.
+    #[inline(always)]
+    pub fn apply(&self, [z, near, far]: [Vec3<S>; 3]) -> [Vec3<S>; 2] {
+        let turn = self.s.apply_transposed(far) - self.s.apply(near);
+        let shift = z + self.y.cross(near);
+        [self.s.apply(shift) + self.g.apply(turn), turn]
+    }
+
+    /// Returns the covectors `w = Sᵀ n` of `z` and `μ = m + Gᵀ n` of `δψ` under a stress `(n, m)`.
+    #[inline(always)]
+    fn covectors(&self, stress: &Stress<S>) -> [Vec3<S>; 2] {
+        let n = stress.linear[0];
+        let mu = stress.angular + self.g.apply_transposed(n);
+        [self.s.apply_transposed(n), mu]
+    }
+
+    /// Returns the transpose of [`Self::apply`] of a stress: the covectors `(w, M_a, M_b)` of `(z, η_a, η_b)`.
+    #[inline(always)]
+    pub fn apply_transposed(&self, stress: &Stress<S>) -> [Vec3<S>; 3] {
+        let [w, mu] = self.covectors(stress);
+        let near = w.cross(self.y) - self.s.apply_transposed(mu);
+        [w, near, self.s.apply(mu)]
+    }
+}
+
+impl HelicalChart<Scalar> {
+    /// Returns the chart of one pose, and `ψ`.
+    pub fn of(pose: &ElementPose) -> (Self, Vector3<f64>) {
+        let psi = log(&pose.rotation_a.tr_mul(pose.rotation_b));
+        let y = pose.rotation_a.tr_mul(&pose.dx);
+        let chart = Self {
+            y: Vec3::splat(Scalar, &y),
+            s: Mat3::of_matrix(&log_tangent(&psi)),
+            g: Mat3::of_matrix(&super::tangent_derivative(&psi, &y, -1.0)),
+        };
+        (chart, psi)
+    }
+}
+
 /// The quantities that the helical rule needs of a pose.
 #[derive(Clone, Copy)]
 pub struct HelicalPose<S: Simd> {
     r: Mat3<S>,
     log: Logarithm<S>,
-    /// `R_aᵀ dx`
-    y: Vec3<S>,
-    /// `S = I - ψ̂/2 + c ψ̂²`
-    s: Mat3<S>,
-    /// `∂(S y)/∂ψ`
-    g: Mat3<S>,
+    chart: HelicalChart<S>,
 }
 
 impl<S: Simd> HelicalPose<S> {
     /// Returns `l δv` along `(dx; body a; body b)`.
     #[inline(always)]
     fn linear_derivative(&self) -> [Mat3<S>; 3] {
-        [
-            self.s.product_transposed(self.r),
-            self.s.product_hat(self.y) - self.g.product(self.s),
-            self.g.product_transposed(self.s),
-        ]
+        let [near, far] = self.chart.linear();
+        [self.chart.s.product_transposed(self.r), near, far]
     }
 }
 
 impl TangentRule for Helical {
     type Pose<S: Simd> = HelicalPose<S>;
-    const END_WEIGHT: f64 = 1.0;
+    const ENDS: usize = 1;
     const PATTERN: [[bool; 3]; 3] = [
         [true, true, true],
         [false, false, false],
@@ -100,38 +171,29 @@ impl TangentRule for Helical {
         HelicalPose {
             r,
             log,
-            y,
-            s: inverse_tangent(&log),
-            g: tangent_derivative(&log, y, -1.0),
+            chart: HelicalChart::at(&log, y),
         }
     }
 
     #[inline(always)]
     fn strain<S: Simd>(pose: &HelicalPose<S>) -> Stress<S> {
         Stress {
-            linear: [pose.s.apply(pose.y); 2],
+            linear: [pose.chart.s.apply(pose.chart.y); 2],
             angular: pose.log.psi,
         }
     }
 
-    /// `δψ = Sᵀ η_b - S η_a`
     #[inline(always)]
     fn derivative<S: Simd>(pose: &HelicalPose<S>) -> Blocks<S> {
-        let none = Mat3::zero(pose.y.x.simd);
-        [
-            pose.linear_derivative(),
-            [none; 3],
-            [none, -pose.s, pose.s.transpose()],
-        ]
+        let none = Mat3::zero(pose.chart.y.x.simd);
+        let [near, far] = pose.chart.angular();
+        [pose.linear_derivative(), [none; 3], [none, near, far]]
     }
 
     #[inline(always)]
     fn pull<S: Simd>(pose: &HelicalPose<S>, stress: &Stress<S>) -> [Vec3<S>; 3] {
-        let HelicalPose { r, y, s, g, .. } = *pose;
-        let n = stress.linear[0];
-        let mu = stress.angular + g.apply_transposed(n);
-        let w = s.apply_transposed(n);
-        [r.apply(w), w.cross(y) - s.apply_transposed(mu), s.apply(mu)]
+        let [w, near, far] = pose.chart.apply_transposed(stress);
+        [pose.r.apply(w), near, far]
     }
 
     #[inline(always)]
@@ -140,11 +202,11 @@ impl TangentRule for Helical {
         pose: &HelicalPose<S>,
         stress: &Stress<S>,
     ) -> Blocks<S> {
-        let HelicalPose { r, log, y, s, g } = *pose;
+        let HelicalPose { r, log, chart } = *pose;
+        let HelicalChart { y, s, g } = chart;
         let Elasticity { c1, c2, .. } = *law;
         let n = stress.linear[0];
-        let mu = stress.angular + g.apply_transposed(n);
-        let w = s.apply_transposed(n);
+        let [w, mu] = chart.covectors(stress);
         let turned = tangent_derivative(&log, n, 1.0);
         let bent = g.scale_rows(c1);
         let b = s.transposed_product(bent) + turned;
@@ -185,9 +247,7 @@ impl TangentRule for Helical {
                 x[i][j] = left.transposed_product(stressed);
             }
         }
-        // δψ = Sᵀ η_b - S η_a
-        let left = [-start.s, start.s.transpose()];
-        let right = [-end.s, end.s.transpose()];
+        let [left, right] = [start, end].map(|pose| pose.chart.angular());
         for (j, right) in right.into_iter().enumerate() {
             let stressed = right.scale_rows(law.c2);
             for (i, left) in left.into_iter().enumerate() {

@@ -84,19 +84,31 @@ pub struct Thinning<S: Simd> {
 }
 
 impl<S: Simd> Thinning<S> {
+    /// At dilatation `e`, given as `1/e`, that is frozen: under [`RodModel::Dilatation`].
+    #[inline(always)]
+    pub fn frozen(inverse: Lanes<S>) -> Self {
+        let none = Lanes::splat(inverse.simd, 0.0);
+        Self {
+            linear: inverse,
+            angular: inverse * inverse * inverse,
+            slope: none,
+            bend: none,
+        }
+    }
+
     /// At dilatation `e`, given as `1/e`, with the linear and angular energy densities at `e = 1` (J/m) and `EA` (N).
     #[inline(always)]
     pub fn at(inverse: Lanes<S>, linear: Lanes<S>, angular: Lanes<S>, axial: Lanes<S>) -> Self {
+        let factors = Self::frozen(inverse);
         let square = inverse * inverse;
         let angular = angular * 3.0;
         // φ' = ½ (1 - 1/e)², φ'' = (1 - 1/e)/e²
         let stretch = -inverse + 1.0;
         let twice = linear * 2.0 + angular * square * 4.0;
         Self {
-            linear: inverse,
-            angular: square * inverse,
             slope: axial * 0.5 * (stretch * stretch) - square * (linear + angular * square),
             bend: square * (axial * stretch + inverse * twice),
+            ..factors
         }
     }
 }
@@ -171,16 +183,17 @@ impl Element {
         }
         let nu = self.rest_stretch();
         let of = |value: f64| Lanes::splat(Scalar, value);
-        let mut thinning = Thinning::at(
-            of(nu / strain.linear[0].norm()),
-            of(0.25 * (a.dot(&n_a) + b.dot(&n_b))),
-            of(0.5 * kappa.dot(&m)),
-            of(self.axial()),
-        );
-        if self.model == RodModel::Dilatation {
-            // At frozen dilatation.
-            (thinning.slope, thinning.bend) = (of(0.0), of(0.0));
-        }
+        let inverse = of(nu / strain.linear[0].norm());
+        let thinning = if self.model == RodModel::Dilatation {
+            Thinning::frozen(inverse)
+        } else {
+            Thinning::at(
+                inverse,
+                of(0.25 * (a.dot(&n_a) + b.dot(&n_b))),
+                of(0.5 * kappa.dot(&m)),
+                of(self.axial()),
+            )
+        };
         let [inverse, slope] = [thinning.linear, thinning.slope].map(|factor| factor.value);
         let along = strain.linear.map(|v| v / (2.0 * v.norm() * nu));
         let bend = strain.linear.map(|v| {

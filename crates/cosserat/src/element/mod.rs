@@ -136,6 +136,15 @@ impl StrainRule {
         }
     }
 
+    /// Returns the number of ends at which the linear strain is taken; that at one is the same at both.
+    #[must_use]
+    pub fn n_ends(self) -> usize {
+        match self {
+            Self::Helical => Helical::ENDS,
+            Self::Trapezoidal => Trapezoidal::ENDS,
+        }
+    }
+
     /// Returns the weight of an end at which the linear strain is taken.
     #[must_use]
     pub fn end_weight(self) -> f64 {
@@ -207,7 +216,7 @@ fn derivative_of<R: TangentRule>(
     pose: &R::Pose<Scalar>,
 ) -> (ElementStrain, StrainDerivative) {
     let mut rows = R::derivative(pose);
-    if R::END_WEIGHT == 1.0 {
+    if R::ENDS == 1 {
         // The one linear strain belongs to both ends.
         rows[1] = rows[0];
     }
@@ -271,13 +280,12 @@ fn add_thinning<R: TangentRule>(
         return;
     };
     let rows = R::derivative(pose);
-    let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
     for i in 0..3 {
         for j in 0..3 {
             out[i][j] = out[i][j] + Mat3::outer(along[i], left[j]);
         }
     }
-    for end in 0..ends {
+    for end in 0..R::ENDS {
         let bend = Mat3::of_matrix(&(bend[end] * (R::END_WEIGHT * factor)));
         for j in 0..3 {
             if !R::PATTERN[end][j] {

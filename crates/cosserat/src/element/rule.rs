@@ -109,8 +109,10 @@ impl<S: Simd> Elasticity<S> {
 pub trait TangentRule {
     /// Data of an element's pose that the rule uses.
     type Pose<S: Simd>: Copy;
-    /// Weight of an end at which the linear strain is taken.
-    const END_WEIGHT: f64;
+    /// Number of ends at which the linear strain is taken; that at one is the same at both.
+    const ENDS: usize;
+    /// Weight of each of these ends.
+    const END_WEIGHT: f64 = 1.0 / Self::ENDS as f64;
     /// Nonzero blocks of [`Self::derivative`].
     const PATTERN: [[bool; 3]; 3];
 

@@ -36,7 +36,7 @@ impl<S: Simd> TrapezoidalPose<S> {
 
 impl TangentRule for Trapezoidal {
     type Pose<S: Simd> = TrapezoidalPose<S>;
-    const END_WEIGHT: f64 = 0.5;
+    const ENDS: usize = 2;
     const PATTERN: [[bool; 3]; 3] = [
         [true, true, false],
         [true, false, true],

@@ -599,13 +599,9 @@ impl RodActuators {
                 continue;
             }
             let (linear, psi) = stretched(&strain(q), element.length);
-            let ends = match rule {
-                StrainRule::Helical => 1,
-                StrainRule::Trapezoidal => 2,
-            };
             for point in points {
                 let at = point.in_element(Scalar, element.length);
-                out[of(point)] += at.value(point.density, &linear[..ends], psi);
+                out[of(point)] += at.value(point.density, &linear[..rule.n_ends()], psi);
             }
         }
     }
@@ -826,6 +822,16 @@ impl RodActuators {
     #[must_use]
     pub fn efforts(&self, t: f64) -> Vec<f64> {
         self.iter().map(|actuator| actuator.effort(t)).collect()
+    }
+
+    /// Returns the inputs of a signal that drives [all](crate::Efforts::of_all) actuators to these at the instant `t`: what they are beyond the
+    /// given ones, with which those of a signal add up.
+    pub fn beyond_given<'a>(
+        &'a self,
+        t: f64,
+        inputs: impl Iterator<Item = f64> + 'a,
+    ) -> impl Iterator<Item = f64> + 'a {
+        (inputs.zip(self.iter())).map(move |(input, actuator)| input - actuator.effort(t))
     }
 
     /// Writes the given inputs that the steps beside a time node take.

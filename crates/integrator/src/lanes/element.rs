@@ -228,10 +228,11 @@ impl SectionLaw for Dilatation {
         let (eps, kappa) = excess(constants, y, psi);
         let (mut n, m) = proportional(constants, eps, kappa);
         let inverse = inverse_stretch * row(psi.x.simd, constants, REST_STRETCH);
+        let thinning = Thinning::frozen(inverse);
         for end in 0..ENDS {
-            n[end] = n[end] * inverse;
+            n[end] = n[end] * thinning.linear;
         }
-        (n, m * (inverse * inverse * inverse))
+        (n, m * thinning.angular)
     }
 }
 
@@ -263,7 +264,7 @@ impl SectionLaw for Consistent {
         );
         let along = thinning.slope * inverse * row(simd, constants, ALONG);
         for end in 0..ENDS {
-            n[end] = n[end] * inverse;
+            n[end] = n[end] * thinning.linear;
         }
         // Along the chord or the strain: no matter at which end.
         n[0] = n[0] + y[0] * along;

@@ -122,7 +122,7 @@ impl<S: Simd> Pull<S> {
 }
 
 impl Rule for Trapezoidal {
-    const ENDS: usize = 2;
+    const ENDS: usize = <Self as cosserat::element::TangentRule>::ENDS;
 
     /// The measure of the rotation is `ψ/2`.
     fn constants(rod: &Rod, q: usize, time_step: f64) -> [f64; THINNING_ROWS] {
@@ -224,7 +224,7 @@ impl Rule for Trapezoidal {
 }
 
 impl Rule for Helical {
-    const ENDS: usize = 1;
+    const ENDS: usize = <Self as cosserat::element::TangentRule>::ENDS;
 
     fn constants(rod: &Rod, q: usize, time_step: f64) -> [f64; THINNING_ROWS] {
         constants(rod, q, time_step, 1.0, 1.0)

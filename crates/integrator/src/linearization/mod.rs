@@ -105,18 +105,7 @@ impl Motion<'_> {
 
     /// Returns the number of sets of efforts: time nodes, or under the implicit scheme intervals.
     pub fn n_sets(&self) -> usize {
-        match self.rod.scheme {
-            TimeScheme::Explicit => self.grid.n_steps + 1,
-            TimeScheme::Implicit => self.grid.n_steps,
-        }
-    }
-
-    /// Returns the number of time nodes at the ends of a set of efforts: the one, or those of an interval.
-    pub fn n_ends(&self) -> usize {
-        match self.rod.scheme {
-            TimeScheme::Explicit => 1,
-            TimeScheme::Implicit => 2,
-        }
+        self.grid.n_steps + 2 - self.rod.scheme.n_ends()
     }
 
     /// Writes the inputs of all actuators of the rod in a set.

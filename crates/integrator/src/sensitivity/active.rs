@@ -385,7 +385,7 @@ impl<S: Simd, R: TangentRule> Part for Stressed<'_, S, R> {
         };
         for point in efforts.actuators.on(q) {
             let at = point.in_element(simd, length);
-            let slopes = if R::END_WEIGHT == 1.0 {
+            let slopes = if R::ENDS == 1 {
                 at.slopes::<1>(point.density, strain.linear, strain.angular)
             } else {
                 at.slopes::<2>(point.density, strain.linear, strain.angular)
@@ -427,7 +427,7 @@ impl<S: Simd, R: TangentRule> Part for Derivatives<'_, S, R> {
             let at: ActivePoint<S> = point.in_element(simd, length);
             // The potential is minus the coordinate.
             let factor = -efforts.effort(simd, point.line) * factor;
-            if R::END_WEIGHT == 1.0 {
+            if R::ENDS == 1 {
                 at.add_derivatives::<1>(point.density, strain, factor, stress, tangent);
             } else {
                 at.add_derivatives::<2>(point.density, strain, factor, stress, tangent);
@@ -528,8 +528,7 @@ pub struct EffortPulls {
     n_sets: usize,
     /// First of the sets that are evaluated.
     first: usize,
-    /// Number of ends: 1 explicit, 2 implicit.
-    ends: usize,
+    scheme: TimeScheme,
     /// Place of every actuator of the rod among those that are evaluated.
     index: Vec<Option<usize>>,
     /// Poses of all nodes at both ends of a set, and covectors there, with a set in each lane.
@@ -566,7 +565,7 @@ impl EffortPulls {
     /// Creates memory for so many sets of motions of this rod.
     fn new(motion: &Motion, n_sets: usize, actuators: &[usize], with_slopes: bool) -> Self {
         let rod = motion.rod;
-        let ends = ends(rod);
+        let ends = rod.scheme.n_ends();
         let mut index = vec![None; rod.actuators.len()];
         for (own, &actuator) in actuators.iter().enumerate() {
             index[actuator] = Some(own);
@@ -582,7 +581,7 @@ impl EffortPulls {
             n_actuators: actuators.len(),
             n_sets,
             first: 0,
-            ends,
+            scheme: rod.scheme,
             index,
             poses: [0, 1].map(|_| Buffer::zeros(rod.n_nodes() * POSE_ROWS * n_lanes)),
             covectors: Buffer::zeros(n_covectors * n_lanes),
@@ -621,7 +620,7 @@ impl EffortPulls {
         self.first = sets.start;
         self.wrenches.fill(0.0);
         self.slopes.fill(0.0);
-        let ends = self.ends;
+        let ends = self.scheme.n_ends();
         let arch = Arch::new();
         let n_lanes = dispatch(arch, CountLanes);
         let Self {
@@ -689,7 +688,7 @@ impl EffortPulls {
 
     fn at(&self, set: usize, end: usize, actuator: usize) -> usize {
         let set = set - self.first;
-        ((set * self.ends + end) * self.n_actuators + actuator) * self.n_nodes * 6
+        ((set * self.scheme.n_ends() + end) * self.n_actuators + actuator) * self.n_nodes * 6
     }
 
     /// Returns the number of actuators whose unit efforts are evaluated.
@@ -702,10 +701,10 @@ impl EffortPulls {
     /// Under the implicit scheme these are the intervals beside it; the only one beside an end of the grid counts whole.
     pub fn sets_at(&self, k: usize) -> impl Iterator<Item = (usize, usize, f64)> + use<> {
         let n_sets = self.n_sets;
-        let (share, before) = if self.ends == 1 {
-            (1.0, None)
-        } else {
-            (interval_share(k, n_sets), k.checked_sub(1))
+        let share = self.scheme.share(k, n_sets);
+        let before = match self.scheme {
+            TimeScheme::Explicit => None,
+            TimeScheme::Implicit => k.checked_sub(1),
         };
         let at = (k < n_sets).then_some((k, 0, share));
         at.into_iter().chain(before.map(|set| (set, 1, share)))
@@ -731,11 +730,11 @@ impl EffortPulls {
         actuator: usize,
         visit: &mut dyn FnMut([usize; 2], usize, usize, f64),
     ) {
-        let weight = 1.0 / self.ends as f64;
+        let weight = 1.0 / self.scheme.n_ends() as f64;
         for (set, end, share) in self.sets_at(k) {
             let wrenches = self.wrenches(set, end, actuator).iter().enumerate();
             for (at, wrench) in wrenches.filter(|(_, wrench)| **wrench != 0.0) {
-                for time in set..set + self.ends {
+                for time in set..set + self.scheme.n_ends() {
                     visit([set, time], at / 6, at % 6, weight * share * wrench);
                 }
             }
@@ -758,16 +757,12 @@ impl MixedSlopes {
         else {
             return Self(None);
         };
-        let ends = ends(motion.rod);
+        let ends = motion.rod.scheme.n_ends();
         let sets = (first + 1).saturating_sub(ends)..motion.n_sets().min(first + n);
         let n_steps = motion.grid.n_steps;
         let covectors = |set: usize, end: usize, node: usize| {
             let wrench = multipliers.adjoint.wrench(motion, set + end, node);
-            let share = if ends == 1 {
-                1.0
-            } else {
-                interval_share(set + end, n_steps)
-            };
+            let share = motion.rod.scheme.share(set + end, n_steps);
             Wrench {
                 force: wrench.force * share,
                 moment: wrench.moment * share,
@@ -790,20 +785,6 @@ impl MixedSlopes {
             }
         }
     }
-}
-
-/// Returns the number of ends of a set.
-fn ends(rod: &Rod) -> usize {
-    match rod.scheme {
-        TimeScheme::Explicit => 1,
-        TimeScheme::Implicit => 2,
-    }
-}
-
-/// Returns the part that each interval beside time node `k` of `n_steps + 1` has in the mean force there.
-#[must_use]
-pub fn interval_share(k: usize, n_steps: usize) -> f64 {
-    if k == 0 || k == n_steps { 1.0 } else { 0.5 }
 }
 
 /// Sets whose time nodes lie in the lanes.
@@ -920,7 +901,7 @@ impl PullGroup<'_> {
                 }
                 let mut pulls = [[[zero; 3]; 2]; 3];
                 for (pulls, (poses, strain)) in pulls.iter_mut().zip(&poses).take(signs.len()) {
-                    let slopes = if R::END_WEIGHT == 1.0 {
+                    let slopes = if R::ENDS == 1 {
                         here.slopes::<1>(point.density, strain.linear, strain.angular)
                     } else {
                         here.slopes::<2>(point.density, strain.linear, strain.angular)

@@ -18,6 +18,7 @@ mod arriving;
 mod bent;
 mod columns;
 mod combined;
+mod contracted;
 mod conveyor;
 mod dilated;
 pub mod linearize;
@@ -53,8 +54,9 @@ use cosserat::implicit::IntervalWeights;
 use cosserat::signal::ControlSignal;
 use cosserat::step_error::StepError;
 
-pub use self::active::{Covectors, EffortPulls, interval_share};
-pub use self::numbers::{Contracted, CovectorSums, Neighbor, NumberChange, change_between};
+pub use self::active::{Covectors, EffortPulls};
+pub use self::contracted::{Contracted, CovectorSums};
+pub use self::numbers::{Neighbor, NumberChange, change_between};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
 pub use self::step::{

@@ -1,24 +1,17 @@
 //! The readings of sensors for a given state, and their derivatives.
 //!
 //! A derivative is a row of three numbers for every component of the error that matters: `(δx, ζ, δp, δπ)` of the free nodes and the
-//! disturbances, in the order of [`Layout`]. Between two nodes, with `ψ = log(R_aᵀ R_b)`, `S` the inverse tangent of the exponential,
-//! `w = S(ψ) R_aᵀ (x_b - x_a)` and `M(v)` the spatial tangent of `exp`,
-//!
-//! ```text
-//! x(s) = x_a + s R_a z,  z = M(sψ) w        δx(s) = δx_a - s R_a ẑ ζ_a + s R_a M(sψ) (δw - s G(sψ, z) δψ),   G(v, z) = ∂(S(v) z)/∂v
-//! R(s) = R_a exp(sψ)                        ζ(s)  = exp(sψ)ᵀ ζ_a + s T(sψ) δψ,                              T the body-frame tangent of exp
-//! x(s) + R(s) d,                            δ = δx(s) - R(s) d̂ ζ(s)                                        at an offset d in the section
-//! δψ = Sᵀ ζ_b - S ζ_a                       δw    = S (R_aᵀ (δx_b - δx_a) + y × ζ_a) + G(ψ, y) δψ,          y = R_aᵀ (x_b - x_a)
-//! ```
+//! disturbances, in the order of [`Layout`]. Between two nodes it follows from the [slopes](PoseSlopes) of the helix through them; at an offset
+//! `d` in the section, the position is `x + R d`, with the derivative `δx - R d̂ ζ`.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use crate::signal::{Quantity, Reading};
 use control::DIFFERENCE;
-use mechanics::element::{ElementPose, ElementStrain, tangent_derivative};
+use mechanics::element::{ElementPose, ElementStrain};
 use mechanics::forms::NODE_COMPONENTS;
-use mechanics::place::{locate, pose};
-use mechanics::rotation::{exp, exp_tangent, hat, log, log_tangent};
+use mechanics::place::{PoseSlopes, locate, pose};
+use mechanics::rotation::{exp, hat, log, log_tangent};
 use mechanics::{Rod, State};
 
 use super::parameter::N_PARAMETERS;
@@ -244,7 +237,7 @@ impl Derivative<'_> {
             self.add(node, ROTATION, &lever);
             return;
         }
-        let [a, b] = Helix::at(self.state, q).rotation(s);
+        let [a, b] = PoseSlopes::at(&self.state.configuration, q).rotation(s);
         self.add(q, ROTATION, &(lever * a));
         self.add(q + 1, ROTATION, &(lever * b));
     }
@@ -254,7 +247,7 @@ impl Derivative<'_> {
             self.add(node, POSITION, &Matrix3::identity());
             return;
         }
-        let [dx, a, b] = Helix::at(self.state, q).position(s);
+        let [dx, a, b] = PoseSlopes::at(&self.state.configuration, q).position(s);
         self.add(q, POSITION, &(Matrix3::identity() - dx));
         self.add(q, ROTATION, &a);
         self.add(q + 1, POSITION, &dx);
@@ -266,7 +259,7 @@ impl Derivative<'_> {
             self.add(node, ROTATION, &Matrix3::identity());
             return;
         }
-        let [a, b] = Helix::at(self.state, q).rotation(s);
+        let [a, b] = PoseSlopes::at(&self.state.configuration, q).rotation(s);
         self.add(q, ROTATION, &a);
         self.add(q + 1, ROTATION, &b);
     }
@@ -405,59 +398,6 @@ impl Fibre {
             along += d.cross(&t).transpose() * slope.fixed_rows::<3>(6);
         }
         Self(now / rest - 1.0, along / rest)
-    }
-}
-
-/// Derivatives along the ends of an element at a fraction of it; see the [module documentation](self).
-struct Helix {
-    rotation_a: Matrix3<f64>,
-    psi: Vector3<f64>,
-    y: Vector3<f64>,
-    /// `S(ψ)`
-    inverse_tangent: Matrix3<f64>,
-    /// `G(ψ, y)`
-    bend: Matrix3<f64>,
-}
-
-impl Helix {
-    fn at(state: &State, q: usize) -> Self {
-        let at = &state.configuration;
-        let rotation_a = at.rotations[q];
-        let psi = log(&rotation_a.tr_mul(&at.rotations[q + 1]));
-        let y = rotation_a.tr_mul(&(at.positions[q + 1] - at.positions[q]));
-        Self {
-            inverse_tangent: log_tangent(&psi),
-            bend: tangent_derivative(&psi, &y, -1.0),
-            rotation_a,
-            psi,
-            y,
-        }
-    }
-
-    /// Returns the derivatives of the position along `δx_b - δx_a`, `ζ_a` and `ζ_b`.
-    fn position(&self, s: f64) -> [Matrix3<f64>; 3] {
-        let tangent = &self.inverse_tangent;
-        let turn = self.psi * s;
-        let spread = exp_tangent(&-turn);
-        let z = spread * (tangent * self.y);
-        // Derivatives along `δψ` and along `δw`.
-        let along_turn = self.bend - tangent_derivative(&turn, &z, -1.0) * s;
-        let outer = self.rotation_a * spread * s;
-        [
-            outer * tangent * self.rotation_a.transpose(),
-            outer * (tangent * hat(&self.y) - along_turn * tangent) - self.rotation_a * hat(&z) * s,
-            outer * along_turn * tangent.transpose(),
-        ]
-    }
-
-    /// Returns the derivatives of the rotation along `ζ_a` and `ζ_b`.
-    fn rotation(&self, s: f64) -> [Matrix3<f64>; 2] {
-        let turn = self.psi * s;
-        let along_turn = exp_tangent(&turn) * s;
-        [
-            exp(&turn).transpose() - along_turn * self.inverse_tangent,
-            along_turn * self.inverse_tangent.transpose(),
-        ]
     }
 }
 

@@ -9,7 +9,7 @@ use crate::lanes::element::{ANGULAR_STIFFNESS, LINEAR_STIFFNESS};
 use crate::lanes::logarithm::Logarithm;
 use crate::lanes::rule::{Rule, Strained, Stress};
 use crate::lanes::vector::{Lanes, Mat3, Row, Vec3};
-use cosserat::element::helical::{inverse_tangent, tangent_derivative};
+use cosserat::element::helical::HelicalChart;
 use cosserat::element::{Helical, Trapezoidal};
 use cosserat::part::Part;
 
@@ -154,7 +154,7 @@ fn add<S: Simd, const N: usize>(
     }
 }
 
-/// `δv = S (δy + ŷ η_a) + G δψ` with `δψ = Sᵀ η_b - S η_a`.
+/// The strains along the motions of the ends, by their [chart](HelicalChart).
 #[inline(always)]
 fn helical<S: Simd>(
     instant: &Instant<S>,
@@ -175,21 +175,16 @@ fn helical<S: Simd>(
         slope,
         bend: slope,
     };
-    let s = inverse_tangent(&log);
-    let g = tangent_derivative(&log, y, -1.0);
-    let [from_a, from_b] = instant.seen_from(0, start);
+    let chart = HelicalChart::at(&log, y);
+    let [from_a, from_b] = instant.seen_from(0, start).map(|own| chart.s.product(own));
+    let [near, far] = chart.linear();
     let linear = Derivative {
         along: [0, 1, 2, 3],
-        blocks: [
-            -s.product(from_a),
-            s.product_hat(y) - g.product(s),
-            s.product(from_b),
-            g.product_transposed(s),
-        ],
+        blocks: [-from_a, near, from_b, far],
     };
     let angular = Derivative {
         along: [1, 3],
-        blocks: [-s, s.transpose()],
+        blocks: chart.angular(),
     };
     (linear, angular)
 }
