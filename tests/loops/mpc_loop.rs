@@ -11,7 +11,8 @@ use softarm::mechanics::{Rod, TimeScheme};
 use softarm::mpc::{
     Action, ActuatorDynamics, Cause, ClosedLoop, Computing, Contender, Experiment,
     FallbackSettings, KalmanFilter, Knowledge, LoopSettings, MpcError, MpcSettings, Outcome,
-    Quantity, Reading, Sensing, Sensor, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
+    Quantity, Reading, Sensing, Sensor, SensorChoice, SensorPreset, SimulatedArm, Unknown,
+    Unknowns,
 };
 use softarm::task::{Discretization, Place, PointLoad};
 
@@ -84,9 +85,9 @@ fn disturbances_are_estimated() {
     println!("{} {}", open.tip_error.rms, seeing.tip_error.rms);
     assert!(seeing.tip_error.rms < 5e-3 && seeing.tip_error.rms < 0.1 * open.tip_error.rms);
     let last = seeing.samples.last().unwrap();
-    let off = last.disturbance.stiffness - 0.8;
+    let off = last.disturbance.value(Unknown::Stiffness) - 0.8;
     assert!(
-        off.abs() < 4.0 * last.deviation.stiffness.max(0.03),
+        off.abs() < 4.0 * last.deviation.value(Unknown::Stiffness).max(0.03),
         "{off}"
     );
 }

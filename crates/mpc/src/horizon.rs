@@ -452,7 +452,7 @@ impl Horizon {
     pub fn disturb(&mut self, disturbance: &Disturbance) {
         self.disturbing.fill(Wrench::default());
         disturbance.add_to(&self.model, &mut self.disturbing);
-        self.delay = disturbance.delay;
+        self.delay = disturbance.delay();
         let parameters = disturbance.parameters();
         if parameters != self.parameters {
             disturbance.change_model(&self.model, Arc::make_mut(&mut self.problem.rod));

@@ -1,4 +1,4 @@
-//! Estimators of a closed loop: their keys, and the unknowns that they estimate.
+//! Estimators of a closed loop: their keys. The unknowns that they estimate are those of [`Unknown::TABLE`].
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive};
 use super::base::EndKind;
-use crate::mpc::{Sensing, SensorChoice, SensorSettings, Unknowns};
+use crate::mpc::{Needs, Sensing, SensorChoice, SensorSettings, Unknown, Unknowns};
 
 /// Estimator of the state from sensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -45,61 +45,25 @@ pub enum EstimatorKind {
     Kalman,
 }
 
-/// Unknown that an estimator finds besides the state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Unknown {
-    /// A force on the tip.
-    TipForce,
-    /// A moment on the tip.
-    TipMoment,
-    /// A force all along the arm.
-    Distributed,
-    /// A factor on the stiffness.
-    Stiffness,
-    /// A mass on the tip, beyond that of `[payload]`.
-    Payload,
-    /// Viscous damping, beyond that of `[damping]`.
-    Viscous,
-    /// Internal damping, beyond that of `[damping]`; of a model with implicit steps.
-    Internal,
-    /// Delay of the commands, beyond `mpc.actuator_delay_s`.
-    Delay,
-}
-
 impl Estimator {
     /// Unknowns that are estimated besides the state, on an arm with this kind of tip.
     pub(crate) fn unknowns(&self, tip: EndKind) -> Vec<Unknown> {
         match (&self.disturbances, self.kind) {
             (Some(named), _) => named.clone(),
-            (None, EstimatorKind::Kalman) => (Unknown::ALL.into_iter())
-                .filter(|unknown| unknown.moves(tip))
+            (None, EstimatorKind::Kalman) => Unknown::all()
+                .filter(|unknown| moves(*unknown, tip))
                 .collect(),
             (None, EstimatorKind::None) => Vec::new(),
         }
     }
 }
 
-impl Unknown {
-    /// All unknowns.
-    pub(crate) const ALL: [Self; 8] = [
-        Self::TipForce,
-        Self::TipMoment,
-        Self::Distributed,
-        Self::Stiffness,
-        Self::Payload,
-        Self::Viscous,
-        Self::Internal,
-        Self::Delay,
-    ];
-
-    /// Tells whether it changes the motion of an arm with this kind of tip.
-    fn moves(self, tip: EndKind) -> bool {
-        match self {
-            Self::TipForce | Self::Payload => tip == EndKind::Free,
-            Self::TipMoment => matches!(tip, EndKind::Free | EndKind::Pinned),
-            _ => true,
-        }
+/// Tells whether an unknown changes the motion of an arm with this kind of tip.
+fn moves(unknown: Unknown, tip: EndKind) -> bool {
+    match unknown.row().needs {
+        Needs::FreeTip => tip == EndKind::Free,
+        Needs::TurningTip => matches!(tip, EndKind::Free | EndKind::Pinned),
+        Needs::Nothing | Needs::ImplicitSteps => true,
     }
 }
 
@@ -111,21 +75,12 @@ impl Estimator {
         seed: u32,
         tip: EndKind,
     ) -> Sensing {
-        let named = self.unknowns(tip);
-        let has = |unknown| named.contains(&unknown);
-        let unknowns = match self.kind {
-            EstimatorKind::None => return Sensing::Everything,
-            EstimatorKind::Kalman => Unknowns {
-                tip_force: has(Unknown::TipForce),
-                tip_moment: has(Unknown::TipMoment),
-                distributed: has(Unknown::Distributed),
-                stiffness: has(Unknown::Stiffness),
-                payload: has(Unknown::Payload),
-                viscous: has(Unknown::Viscous),
-                internal: has(Unknown::Internal),
-                delay: has(Unknown::Delay),
-                wrench_change: self.wrench_change_1_s.map(Number::get),
-            },
+        if self.kind == EstimatorKind::None {
+            return Sensing::Everything;
+        }
+        let unknowns = Unknowns {
+            wrench_change: self.wrench_change_1_s.map(Number::get),
+            ..Unknowns::of(&self.unknowns(tip))
         };
         Sensing::Estimated {
             sensors: sensors.iter().cloned().map(SensorChoice::Own).collect(),
@@ -152,7 +107,7 @@ impl Keys<'_> {
         }
         let named = estimator.unknowns(tip);
         for (index, one) in named.iter().enumerate() {
-            if !one.moves(tip) {
+            if !moves(*one, tip) {
                 let key = format!("estimator.disturbances.{index}");
                 let message = format!(
                     "it does not move an arm whose tip is {}, so that no filter finds it",

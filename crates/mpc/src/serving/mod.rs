@@ -24,8 +24,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use self::intake::{Intake, MOST_READINGS, Refusal};
 use self::message::{
-    ActuatorLine, CommandLine, DisturbanceLine, EffortLimits, EffortLine, ErrorLine, FallbackLine,
-    Hello, InnovationLine, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows,
+    ActuatorLine, CommandLine, EffortLimits, EffortLine, ErrorLine, FallbackLine, Hello,
+    InnovationLine, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows,
     version_message,
 };
 use super::closed_loop::{
@@ -506,7 +506,7 @@ impl<W: Write> Server<W> {
             }
         }
         if let Some(own) = &line.disturbance
-            && let Err(error) = self.driver.assume(&own.disturbance())
+            && let Err(error) = self.driver.assume(own)
         {
             let help = if self.driver.estimates() {
                 "leave it out, or give kind = \"none\" in [estimator] of the scene and the state of all nodes"
@@ -582,8 +582,7 @@ impl<W: Write> Server<W> {
             cause: cause.to_string(),
             action: action.to_string(),
         });
-        let disturbance =
-            (responded.estimates()).then(|| DisturbanceLine::of(responded.disturbance()));
+        let disturbance = responded.estimates().then(|| *responded.disturbance());
         let predicted_tip_m = responded.predicted_tip().map(Into::into);
         let sample = responded.sample();
         let innovation = sample.innovation.map(|found| InnovationLine {
