@@ -259,7 +259,8 @@ fn predictions_are_the_linearized_motion() {
                 disturbance.of_mut(unknown)[axis] += step;
                 let mut start = state.clone();
                 let tip = model.tip();
-                start.linear_momentum[tip] *= 1.0 + disturbance.value(Unknown::Payload) / model.nodes[tip].mass;
+                start.linear_momentum[tip] *=
+                    1.0 + disturbance.value(Unknown::Payload) / model.nodes[tip].mass;
                 end(start, &disturbance)
             });
             compare(n_state + i, ends, step, unit);
@@ -749,8 +750,8 @@ fn delays_and_internal_damping_are_found() {
     let usual = Unknowns::of(&[Unknown::Internal, Unknown::Delay]);
     let settings = usual.settings(&model, PERIOD);
     for (delay, internal) in [(0.0, 0.0), (0.012, 0.0), (0.0, 0.015), (0.012, 0.015)] {
-        let disturbance = (Disturbance::NONE.with(Unknown::Internal, &[internal]))
-            .with(Unknown::Delay, &[delay]);
+        let disturbance =
+            (Disturbance::NONE.with(Unknown::Internal, &[internal])).with(Unknown::Delay, &[delay]);
         let sensor = SensorPreset::Mocap.settings(&model);
         let filter = follow(&model, &model, disturbance, &settings, &sensor, 6.0);
         let (found, sigma) = (filter.estimate().disturbance, filter.estimate().deviation);

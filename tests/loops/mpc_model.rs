@@ -7,7 +7,7 @@ use softarm::control::{
 use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme, Wrench,
+    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme,
     static_equilibrium,
 };
 use softarm::mpc::{Controller, Disturbance, MpcSettings, Unknown};

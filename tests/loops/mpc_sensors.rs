@@ -11,7 +11,7 @@ use softarm::mechanics::rotation::log;
 use softarm::mechanics::{DistributedLoad, LoadFrame, Rod, State, StrainRule};
 use softarm::mpc::{
     Contender, Disturbance, KalmanFilter, KalmanSettings, Measurement, MpcError, Quantity, Reading,
-    Sensor, SensorPreset, SensorSettings, Signal, Transfer,
+    Sensor, SensorPreset, SensorSettings, Signal, Transfer, Unknown,
 };
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;

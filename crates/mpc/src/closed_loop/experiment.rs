@@ -9,7 +9,7 @@ use super::{
 use crate::controller::{Controller, MpcSettings};
 use crate::error::MpcError;
 use crate::estimator::{
-    Estimator, KalmanFilter, KalmanSettings, N_UNKNOWNS, RandomWalk, Regridded, Unknown,
+    Estimator, KalmanFilter, KalmanSettings, N_UNKNOWNS, Needs, RandomWalk, Regridded, Unknown,
 };
 use crate::sensor::{Sensor, SensorPreset, SensorSettings};
 use crate::simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
@@ -120,6 +120,13 @@ impl Unknowns {
         out
     }
 
+    /// Returns the others of these unknowns.
+    #[must_use]
+    pub fn without(mut self, unknown: Unknown) -> Self {
+        self.estimated[unknown as usize] = false;
+        self
+    }
+
     /// Tells whether an unknown is estimated.
     #[must_use]
     pub fn has(&self, unknown: Unknown) -> bool {
@@ -172,12 +179,10 @@ impl Unknowns {
         Ok(Box::new(KalmanFilter::new(model, 0.0, start, &settings)?))
     }
 
-    /// Returns the names, as in scenes, of the quantities that are not estimated.
+    /// Returns the unknowns that are not estimated.
     #[must_use]
-    pub fn missing(&self) -> Vec<&'static str> {
-        (Unknown::all().filter(|own| !self.has(*own)))
-            .map(|own| own.row().key)
-            .collect()
+    pub fn missing(&self) -> Vec<Unknown> {
+        Unknown::all().filter(|own| !self.has(*own)).collect()
     }
 
     /// Returns the standard deviation of the deflection by unknown forces within [`MEMORY`] periods, divided by the length. If no other unknown is
@@ -294,10 +299,14 @@ impl Experiment {
     /// Returns the names, as in scenes, of the quantities that a Kalman filter could estimate and does not; empty without one.
     #[must_use]
     pub fn missing_unknowns(&self) -> Vec<&'static str> {
-        match &self.sensing {
-            Sensing::Estimated { unknowns, .. } => unknowns.missing(),
-            Sensing::Everything => Vec::new(),
-        }
+        let Sensing::Estimated { unknowns, .. } = &self.sensing else {
+            return Vec::new();
+        };
+        let rubs = self.arm.actuators.iter().any(|own| own.friction.is_some());
+        (unknowns.missing().into_iter())
+            .filter(|own| own.row().needs != Needs::Friction || rubs)
+            .map(|own| own.row().key)
+            .collect()
     }
 
     /// Returns a loop with the true state of a plant that is the model, as a base for changes.

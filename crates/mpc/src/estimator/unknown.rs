@@ -32,6 +32,8 @@ pub enum Unknown {
     Internal,
     /// Delay of the commands, beyond `mpc.actuator_delay_s`.
     Delay,
+    /// Coefficient of friction of the tendons along their paths, beyond that of every one that has some.
+    Friction,
 }
 
 /// Number of unknowns, and of their components.
@@ -47,6 +49,8 @@ pub enum Needs {
     FreeTip,
     /// A tip that may turn.
     TurningTip,
+    /// A tendon with friction along its path.
+    Friction,
     /// Implicit steps: explicit ones without internal damping solve no equations, and with it they would have to be shorter.
     ImplicitSteps,
 }
@@ -60,6 +64,7 @@ impl Needs {
             Self::Nothing => true,
             Self::FreeTip => tip.is_none(),
             Self::TurningTip => tip.is_none_or(|joint| joint.turns()),
+            Self::Friction => model.actuators.has_friction(),
             Self::ImplicitSteps => model.scheme == TimeScheme::Implicit,
         }
     }
@@ -75,7 +80,7 @@ impl Needs {
             Self::TurningTip => Some(
                 "no moment on a clamped or driven tip moves the arm, so that no filter finds it; leave tip_moment out",
             ),
-            Self::Nothing | Self::ImplicitSteps => None,
+            Self::Nothing | Self::Friction | Self::ImplicitSteps => None,
         }
     }
 
@@ -86,6 +91,7 @@ impl Needs {
             Self::Nothing => "nothing is missing",
             Self::FreeTip => "the tip of the model is held",
             Self::TurningTip => "the tip of the model does not turn",
+            Self::Friction => "no tendon of the model has friction",
             Self::ImplicitSteps => "the model takes explicit steps",
         }
     }
@@ -140,7 +146,7 @@ pub struct UnknownRow {
 
 impl Unknown {
     /// All unknowns, in the order of their components in a covariance and in files.
-    pub const TABLE: [UnknownRow; 8] = {
+    pub const TABLE: [UnknownRow; 9] = {
         const LOAD: UnknownRow = UnknownRow {
             unknown: Unknown::TipForce,
             key: "tip_force",
@@ -301,6 +307,26 @@ impl Unknown {
                 range: |model| [-LARGEST_TIME, LARGEST_TIME].map(|part| part * model.scales.time),
                 ..LOAD
             },
+            // A sum and not a factor: the logarithm of a tension is linear in it, with a slope that does not vanish with the model's own
+            // coefficient.
+            UnknownRow {
+                unknown: Unknown::Friction,
+                key: "friction",
+                field: "friction",
+                unit: "",
+                words: "friction of tendons beyond the model's",
+                columns: &["friction"],
+                symbols: &["μ"],
+                needs: Needs::Friction,
+                effect: Effect::Model(|model, added, rod| {
+                    rod.actuators.take_friction(&model.actuators, added);
+                }),
+                size: |_| EXPECTED_FRICTION,
+                range: |model| [-least_friction(model), LARGEST_FRICTION],
+                exists: |model, added| added >= -least_friction(model),
+                expected: "a finite number that leaves no negative friction",
+                ..LOAD
+            },
         ]
     };
 
@@ -356,6 +382,11 @@ fn tip_mass(model: &Rod) -> f64 {
     model.nodes[model.tip()].mass
 }
 
+/// Returns the least coefficient of friction of the tendons that have some, 0 without any.
+fn least_friction(model: &Rod) -> f64 {
+    model.actuators.least_friction().unwrap_or(0.0)
+}
+
 /// Returns the force at the tip that deflects it by one length, times the square of the length.
 fn by_force(model: &Rod) -> f64 {
     Beam::of(model).by_force[0] * weakest_bending(model)
@@ -378,6 +409,8 @@ const EXPECTED_INTERNAL: f64 = 0.01;
 /// Prior standard deviation of the delay, divided by the time scale of the arm. With three times as much, the filter of a light arm that
 /// starts with a step of the force mistakes a payload for a delay and diverges (decision 79).
 const EXPECTED_DELAY: f64 = 0.003;
+/// Prior standard deviation of the coefficient of friction: as large as the usual coefficient of a tendon in a lined channel; a choice.
+const EXPECTED_FRICTION: f64 = 0.1;
 
 /// Least and largest factor on the stiffness. Frequencies grow with its root, and the automatic explicit step is at most 0.7 of the stable
 /// one, so that steps remain stable up to a factor of 2.0; 1.6 takes 0.89 of it, and the rest is for compressed elements. The least is a
@@ -393,3 +426,5 @@ const LARGEST_DAMPING: f64 = 50.0;
 /// Largest time of internal damping and largest delay, divided by the time scale, a cap; the first mode of a cantilever is critically
 /// damped at 0.57, and its period is 1.8.
 const LARGEST_TIME: f64 = 0.1;
+/// Largest coefficient of friction beyond the model's; a cap.
+const LARGEST_FRICTION: f64 = 1.0;
