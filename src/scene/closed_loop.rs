@@ -155,7 +155,7 @@ impl Scene {
         let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
         let task = Task {
             horizon,
-            // The plan of a controller has no rows for tensions.
+            // The plan of a controller has rows of its own for tendons that should stay taut.
             keeps_taut: false,
             ..self.posed_task_until(source, duration + horizon)?
         };
