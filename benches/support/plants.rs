@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use softarm::mechanics::{Material, NodeInertia, Rod};
 use softarm::mpc::{
     Computing, Contender, Disturbance, Experiment, Innovations, MpcError, Sample, Sensing,
-    SensorChoice, SensorPreset, TipError, Unknowns,
+    SensorChoice, SensorPreset, TipError, Unknown, Unknowns,
 };
 use softarm::task::{Arm, PointLoad};
 
@@ -145,8 +145,8 @@ fn long_run(name: &str, own: &Experiment, seconds: f64) -> Result<String, MpcErr
     Ok(format!(
         "| {name} | {} | {chi} | {:.1} ± {:.1} |",
         parts.map(percent).join(" / "),
-        1e3 * last.disturbance.delay,
-        1e3 * last.deviation.delay
+        1e3 * last.disturbance.delay(),
+        1e3 * last.deviation.delay()
     ))
 }
 
@@ -174,6 +174,15 @@ fn in_parallel<T: Sync, R: Send>(items: &[T], value: impl Fn(&T) -> R + Sync) ->
     found.into_iter().map(|(_, value)| value).collect()
 }
 
+/// Unknowns of the model and of its commands.
+const PARAMETERS: [Unknown; 5] = [
+    Unknown::Stiffness,
+    Unknown::Payload,
+    Unknown::Viscous,
+    Unknown::Internal,
+    Unknown::Delay,
+];
+
 /// A plant, what is wrong with the model of it, and whether it has the model's own elements and steps.
 struct Known {
     name: &'static str,
@@ -191,12 +200,10 @@ fn known() -> Vec<Known> {
         is_model,
     };
     let soft = |factor: f64| arm(1e6 * factor);
-    let wrong = |stiffness: f64, payload: f64, viscous: f64, internal: f64| Disturbance {
-        stiffness,
-        payload,
-        viscous,
-        internal,
-        ..nothing
+    let wrong = |stiffness: f64, payload: f64, viscous: f64, internal: f64| {
+        let values = [stiffness, payload, viscous, internal];
+        (PARAMETERS.into_iter().zip(values))
+            .fold(nothing, |out, (unknown, value)| out.with(unknown, &[value]))
     };
     let mut out = Vec::new();
     for (is_model, [nothing_wrong, softer, loaded, damped, inner, both]) in [
@@ -314,7 +321,7 @@ fn normalized_errors(known: &Known, count: usize, seconds: f64) -> Result<String
         let Some(last) = found.samples.last() else {
             continue;
         };
-        let of = |d: &Disturbance| [d.stiffness, d.payload, d.viscous, d.internal, d.delay];
+        let of = |d: &Disturbance| PARAMETERS.map(|unknown| d.value(unknown));
         let numbers = (of(&last.disturbance).into_iter())
             .zip(of(&known.truth))
             .zip(of(&last.deviation));

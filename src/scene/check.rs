@@ -69,9 +69,7 @@ impl Keys<'_> {
                 let relation = "goes with sensor; kind = \"kalman\" or \"none\"";
                 return Err(self.missing("estimator", relation));
             }
-            (Some(estimator), no_sensor) => {
-                self.check_estimator(estimator, no_sensor, scene.tip_kind())?
-            }
+            (Some(estimator), _) => self.check_estimator(estimator, scene)?,
             (None, true) => {}
         }
         for (index, load) in scene.disturbance.iter().enumerate() {

@@ -155,7 +155,7 @@ impl Scene {
         let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
         let task = Task {
             horizon,
-            // The plan of a controller has no rows for tensions.
+            // The plan of a controller has rows of its own for tendons that should stay taut.
             keeps_taut: false,
             ..self.posed_task_until(source, duration + horizon)?
         };
@@ -206,15 +206,18 @@ impl Scene {
         resolved.plant = Some(self.resolved_plant(&plant, &plant_discretization));
         resolved.sensor = sensors.iter().map(SensorKeys::describing).collect();
         if let Some(estimator) = &mut resolved.estimator {
-            estimator.disturbances = Some(estimator.unknowns(self.tip_kind()));
+            estimator.disturbances = Some(estimator.unknowns(self));
         }
 
         let mut warnings = self.concerns(due, duration);
         warnings.extend(self.sharp_sensors(&sensors, &model));
-        let task = if due.is_some() { task } else { passing };
+        let task = Task {
+            keeps_taut: self.control.as_ref().is_none_or(|own| own.keep_taut),
+            ..if due.is_some() { task } else { passing }
+        };
         let task = with_weights_of(task, &posed.discrete);
         let sensing = (self.estimator.as_ref()).map_or(Sensing::Everything, |estimator| {
-            estimator.sensing(&sensors, seed, self.tip_kind())
+            estimator.sensing(&sensors, seed, self)
         });
         Ok(ClosedLoopSetup {
             experiment: Experiment {

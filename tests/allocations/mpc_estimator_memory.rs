@@ -6,7 +6,7 @@ use estimating::{Truth, command, rod, upright};
 use softarm::mechanics::State;
 use softarm::mpc::{
     Disturbance, Estimator, Inbox, KalmanFilter, KalmanSettings, Measurement, Predictor,
-    RandomWalk, Regridded, Sensor, SensorPreset, SensorSettings,
+    RandomWalk, Regridded, Sensor, SensorPreset, SensorSettings, Unknown,
 };
 
 /// Prediction with all disturbances (the stiffness changes the constants of every step), correction by every kind of reading, one step of
@@ -17,21 +17,17 @@ fn estimates_allocate_nothing() {
     const PERIOD: f64 = 0.01;
     let model = rod(&upright(), 6);
     let start = State::at_rest(model.rest.clone());
-    let walk = |initial| {
-        Some(RandomWalk {
-            initial,
-            change: 0.1 * initial,
-        })
+    let walk = |initial| RandomWalk {
+        initial,
+        change: 0.1 * initial,
     };
-    let settings = KalmanSettings {
-        tip_force: walk(0.3),
-        tip_moment: walk(0.1),
-        distributed: walk(0.3),
-        stiffness: walk(0.2),
-        payload: walk(0.1),
-        viscous: walk(0.5),
-        ..KalmanSettings::of(&model)
-    };
+    let settings = KalmanSettings::of(&model)
+        .with(Unknown::TipForce, walk(0.3))
+        .with(Unknown::TipMoment, walk(0.1))
+        .with(Unknown::Distributed, walk(0.3))
+        .with(Unknown::Stiffness, walk(0.2))
+        .with(Unknown::Payload, walk(0.1))
+        .with(Unknown::Viscous, walk(0.5));
     let mut filter = KalmanFilter::new(&model, 0.0, &start, &settings).unwrap();
     let coarse = rod(&upright(), 4);
     let own = KalmanFilter::new(
@@ -46,10 +42,7 @@ fn estimates_allocate_nothing() {
     let mut truth = Truth::new(
         &model,
         start,
-        Disturbance {
-            stiffness: 0.9,
-            ..Disturbance::NONE
-        },
+        Disturbance::NONE.with(Unknown::Stiffness, &[0.9]),
     );
     let everything = SensorSettings {
         places: vec![0.3, 1.0],

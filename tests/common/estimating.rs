@@ -6,7 +6,7 @@ use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::{Material, NodeSpring, Rod, State, Wrench, static_equilibrium};
-use softarm::mpc::{Command, Disturbance, KalmanSettings, Predictor, RandomWalk};
+use softarm::mpc::{Command, Disturbance, KalmanSettings, Predictor, RandomWalk, Unknown};
 use softarm::task::{Arm, Discretization};
 
 use crate::commands::of_wrenches;
@@ -141,20 +141,19 @@ pub fn scale(rod: &Rod, component: usize) -> f64 {
     }
 }
 
-pub fn walk(initial: f64, change: f64) -> Option<RandomWalk> {
-    Some(RandomWalk { initial, change })
+pub fn walk(initial: f64, change: f64) -> RandomWalk {
+    RandomWalk { initial, change }
 }
 
 /// Estimates everything there is.
 pub fn all_disturbances(model: &Rod) -> KalmanSettings {
     let force = model.scales.force;
-    KalmanSettings {
-        tip_force: walk(0.1 * force, 0.01 * force),
-        tip_moment: walk(0.02 * model.scales.moment, 0.0),
-        distributed: walk(0.1 * force / model.scales.length, 0.0),
-        stiffness: walk(0.1, 0.01),
-        payload: walk(0.1 * model.mass(), 0.01 * model.mass()),
-        viscous: walk(0.5 / model.scales.time, 0.05 / model.scales.time),
-        ..KalmanSettings::of(model)
-    }
+    let (length, time, mass) = (model.scales.length, model.scales.time, model.mass());
+    KalmanSettings::of(model)
+        .with(Unknown::TipForce, walk(0.1 * force, 0.01 * force))
+        .with(Unknown::TipMoment, walk(0.02 * model.scales.moment, 0.0))
+        .with(Unknown::Distributed, walk(0.1 * force / length, 0.0))
+        .with(Unknown::Stiffness, walk(0.1, 0.01))
+        .with(Unknown::Payload, walk(0.1 * mass, 0.01 * mass))
+        .with(Unknown::Viscous, walk(0.5 / time, 0.05 / time))
 }

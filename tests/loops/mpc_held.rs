@@ -10,7 +10,7 @@ use softarm::control::Hold;
 use softarm::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use softarm::mechanics::{TimeScheme, Wrench};
 use softarm::mpc::{
-    Contender, Experiment, KalmanFilter, LoopSettings, MpcError, Sensing, Unknowns,
+    Contender, Experiment, KalmanFilter, LoopSettings, MpcError, Sensing, Unknown, Unknowns,
 };
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
@@ -245,11 +245,7 @@ fn filters_move_between_ends() {
         let command = of_wrenches(&[4], [0.0, 0.03], [&[pushed]; 2]);
         filter_moves_as_its_model(&model, &command, &[(4, 0), (2, 4), (7, 1)]);
         let start = softarm::mechanics::State::at_rest(model.rest.clone());
-        let unknowns = Unknowns {
-            distributed: true,
-            stiffness: true,
-            ..Unknowns::NONE
-        };
+        let unknowns = Unknowns::of(&[Unknown::Distributed, Unknown::Stiffness]);
         let filter =
             KalmanFilter::new(&model, 0.0, &start, &unknowns.settings(&model, 0.01)).unwrap();
         let covariance = filter.covariance();

@@ -51,9 +51,9 @@ fn unknown_delays_are_found_on_a_light_arm() {
         let changes = [late.as_str(), "mpc.actuator_delay_s=0"];
         let (outcome, length) = run(&scene.replace(named, ""), &changes);
         let (error, last) = (outcome.tip_error, outcome.samples.last().unwrap());
-        println!("{delay} {error:?} {}", last.disturbance.delay);
+        println!("{delay} {error:?} {}", last.disturbance.delay());
         assert!(error.rms < 5e-3 * length, "{error:?}");
-        assert!((last.disturbance.delay - delay).abs() < 0.25 * delay);
+        assert!((last.disturbance.delay() - delay).abs() < 0.25 * delay);
         assert!(outcome.tally.innovations.unwrap().is_off);
     }
 }

@@ -20,7 +20,7 @@ use softarm::mechanics::{
 };
 use softarm::mpc::{
     Command, Disturbance, Estimator as _, KalmanFilter, KalmanSettings, Measurement, Predictor,
-    Quantity, Reading, Sensor, SensorPreset, SensorSettings, Unknowns,
+    Quantity, Reading, Sensor, SensorPreset, SensorSettings, Unknown, Unknowns,
 };
 use softarm::task::Arm;
 
@@ -248,17 +248,19 @@ fn predictions_are_the_linearized_motion() {
             let step = STEP * unit;
             let ends = [-step, step].map(|step| {
                 let mut disturbance = Disturbance::NONE;
-                match i {
-                    0..3 => disturbance.tip.force[i] += step,
-                    3..6 => disturbance.tip.moment[i - 3] += step,
-                    6..9 => disturbance.distributed[i - 6] += step,
-                    9 => disturbance.stiffness += step,
-                    10 => disturbance.payload += step,
-                    _ => disturbance.viscous += step,
-                }
+                let (unknown, axis) = match i {
+                    0..3 => (Unknown::TipForce, i),
+                    3..6 => (Unknown::TipMoment, i - 3),
+                    6..9 => (Unknown::Distributed, i - 6),
+                    9 => (Unknown::Stiffness, 0),
+                    10 => (Unknown::Payload, 0),
+                    _ => (Unknown::Viscous, 0),
+                };
+                disturbance.of_mut(unknown)[axis] += step;
                 let mut start = state.clone();
                 let tip = model.tip();
-                start.linear_momentum[tip] *= 1.0 + disturbance.payload / model.nodes[tip].mass;
+                start.linear_momentum[tip] *=
+                    1.0 + disturbance.value(Unknown::Payload) / model.nodes[tip].mass;
                 end(start, &disturbance)
             });
             compare(n_state + i, ends, step, unit);
@@ -315,17 +317,11 @@ fn noise_root(model: &Rod, settings: &KalmanSettings, shape: &Configuration) -> 
     let smooth = &inertia * compliance * &inertia * frequency.powi(2);
     let all = (smooth + inertia * 0.1) * (2.0 * energy);
     let momenta = all.cholesky().unwrap().unpack();
-    let walks = [
-        (settings.tip_force, 3),
-        (settings.tip_moment, 3),
-        (settings.distributed, 3),
-        (settings.stiffness, 1),
-        (settings.payload, 1),
-        (settings.viscous, 1),
-    ];
-    let disturbances: Vec<f64> = (walks.into_iter())
-        .filter_map(|(walk, size)| walk.map(|walk| (walk.change, size)))
-        .flat_map(|(deviation, size)| std::iter::repeat_n(deviation, size))
+    let disturbances: Vec<f64> = estimated(settings)
+        .flat_map(|unknown| {
+            let change = settings.walk(unknown).map(|walk| walk.change);
+            std::iter::repeat_n(change, unknown.row().n()).flatten()
+        })
         .collect();
     let n_state = 2 * momenta.nrows();
     let n = n_state + disturbances.len();
@@ -340,6 +336,11 @@ fn noise_root(model: &Rod, settings: &KalmanSettings, shape: &Configuration) -> 
         root[(n_state + i, n_state + i)] = deviation;
     }
     root
+}
+
+/// The unknowns that are estimated.
+fn estimated(settings: &KalmanSettings) -> impl Iterator<Item = Unknown> {
+    Unknown::all().filter(|unknown| settings.walk(*unknown).is_some())
 }
 
 /// A tangent and a change of the disturbances from all components of an error.
@@ -359,28 +360,9 @@ fn split(
         tangent.angular[node] = vector(at + 9);
     }
     let mut at = NODE_COMPONENTS * (model.n_nodes() - first);
-    let mut change = Disturbance {
-        stiffness: 0.0,
-        ..Disturbance::NONE
-    };
-    let parts = [
-        (settings.tip_force, &mut change.tip.force),
-        (settings.tip_moment, &mut change.tip.moment),
-        (settings.distributed, &mut change.distributed),
-    ];
-    for (walk, value) in parts {
-        if walk.is_some() {
-            *value = vector(at);
-            at += 3;
-        }
-    }
-    let parameters = [
-        (settings.stiffness, &mut change.stiffness),
-        (settings.payload, &mut change.payload),
-        (settings.viscous, &mut change.viscous),
-    ];
-    for (walk, value) in parameters {
-        if walk.is_some() {
+    let mut change = Disturbance::ZERO;
+    for unknown in estimated(settings) {
+        for value in change.of_mut(unknown) {
             *value = error[at];
             at += 1;
         }
@@ -407,7 +389,7 @@ fn disturbed(model: &Rod, truth: &Truth) -> Rod {
     truth.disturbance.change_model(model, &mut rod);
     rod.loads.push(Load {
         node: 0,
-        force: truth.disturbance.distributed * (0.5 * model.elements[0].length),
+        force: truth.disturbance.vector(Unknown::Distributed) * (0.5 * model.elements[0].length),
         moment: Vector3::zeros(),
         frame: LoadFrame::Spatial,
         profile: Vec::new(),
@@ -416,18 +398,13 @@ fn disturbed(model: &Rod, truth: &Truth) -> Rod {
 }
 
 fn added(a: &Disturbance, b: &Disturbance) -> Disturbance {
-    Disturbance {
-        tip: Wrench {
-            force: a.tip.force + b.tip.force,
-            moment: a.tip.moment + b.tip.moment,
-        },
-        distributed: a.distributed + b.distributed,
-        stiffness: a.stiffness + b.stiffness,
-        payload: a.payload + b.payload,
-        viscous: a.viscous + b.viscous,
-        internal: a.internal + b.internal,
-        delay: a.delay + b.delay,
+    let mut out = *a;
+    for unknown in Unknown::all() {
+        for (out, change) in out.of_mut(unknown).iter_mut().zip(b.of(unknown)) {
+            *out += change;
+        }
     }
+    out
 }
 
 /// The error of a filter over all components of its covariance.
@@ -447,25 +424,10 @@ fn error_of(
     );
     let mut all: Vec<f64> = tangent.components_from(model.first_free_node()).collect();
     let (true_one, found) = (&truth.disturbance, &estimate.disturbance);
-    let parts = [
-        (settings.tip_force, true_one.tip.force - found.tip.force),
-        (settings.tip_moment, true_one.tip.moment - found.tip.moment),
-        (
-            settings.distributed,
-            true_one.distributed - found.distributed,
-        ),
-    ];
-    for (walk, value) in parts {
-        if walk.is_some() {
-            all.extend(value.iter());
-        }
+    for unknown in estimated(settings) {
+        let pairs = true_one.of(unknown).iter().zip(found.of(unknown));
+        all.extend(pairs.map(|(true_one, found)| true_one - found));
     }
-    let parameters = [
-        (settings.stiffness, true_one.stiffness - found.stiffness),
-        (settings.payload, true_one.payload - found.payload),
-        (settings.viscous, true_one.viscous - found.viscous),
-    ];
-    all.extend((parameters.into_iter()).filter_map(|(walk, value)| walk.map(|_| value)));
     DVector::from_vec(all)
 }
 
@@ -575,17 +537,18 @@ fn errors_are_as_large_as_the_filter_says() {
         let forces = KalmanSettings {
             initial: 0.001 * length,
             change: 0.001 * length,
-            tip_force: walk(0.01 * force, 0.003 * force),
-            tip_moment: walk(0.003 * moment, 0.001 * moment),
-            distributed: walk(0.01 * force / length, 0.003 * force / length),
             ..KalmanSettings::of(&model)
         };
-        let all = KalmanSettings {
-            stiffness: walk(0.005, 0.001),
-            payload: walk(0.005 * model.mass(), 0.001 * model.mass()),
-            viscous: walk(0.05 / model.scales.time, 0.01 / model.scales.time),
-            ..forces
-        };
+        let along = force / length;
+        let forces = forces
+            .with(Unknown::TipForce, walk(0.01 * force, 0.003 * force))
+            .with(Unknown::TipMoment, walk(0.003 * moment, 0.001 * moment))
+            .with(Unknown::Distributed, walk(0.01 * along, 0.003 * along));
+        let (mass, time) = (model.mass(), model.scales.time);
+        let all = forces
+            .with(Unknown::Stiffness, walk(0.005, 0.001))
+            .with(Unknown::Payload, walk(0.005 * mass, 0.001 * mass))
+            .with(Unknown::Viscous, walk(0.05 / time, 0.01 / time));
         let cases = [
             (SensorPreset::Mocap, all),
             (SensorPreset::Em, all),
@@ -639,9 +602,9 @@ fn follow(
     };
     for k in 0..(duration / PERIOD) as usize {
         let start = k as f64 * PERIOD;
-        let act = late(start, disturbance.delay);
+        let act = late(start, disturbance.delay());
         truth.advance(&act, act.end);
-        let said = late(start, filter.estimate().disturbance.delay);
+        let said = late(start, filter.estimate().disturbance.delay());
         filter.advance(&said, said.end).unwrap();
         if sensor.is_due(act.end) {
             sensor
@@ -672,10 +635,7 @@ fn disturbances_are_found() {
             seed: 3,
             ..SensorPreset::Mocap.settings(&model)
         };
-        let tip = Wrench {
-            force: Vector3::new(0.6, -0.8, 0.0) * unit,
-            moment: Vector3::zeros(),
-        };
+        let tip = Vector3::new(0.6, -0.8, 0.0) * unit;
         let distributed = Vector3::new(-0.6, 0.0, 0.8) * along;
         let cases = [
             (true, false, false),
@@ -688,16 +648,16 @@ fn disturbances_are_found() {
             let mut settings = nothing;
             let mut disturbance = Disturbance::NONE;
             if has_tip {
-                settings.tip_force = walk(2.0 * unit, 0.01 * unit);
-                disturbance.tip = tip;
+                settings = settings.with(Unknown::TipForce, walk(2.0 * unit, 0.01 * unit));
+                disturbance = disturbance.with(Unknown::TipForce, tip.as_slice());
             }
             if has_distributed {
-                settings.distributed = walk(2.0 * along, 0.01 * along);
-                disturbance.distributed = distributed;
+                settings = settings.with(Unknown::Distributed, walk(2.0 * along, 0.01 * along));
+                disturbance = disturbance.with(Unknown::Distributed, distributed.as_slice());
             }
             if is_soft {
-                settings.stiffness = walk(0.2, 0.003);
-                disturbance.stiffness = 0.8;
+                settings = settings.with(Unknown::Stiffness, walk(0.2, 0.003));
+                disturbance = disturbance.with(Unknown::Stiffness, &[0.8]);
             }
             let duration = 4.0 * model.scales.time;
             let filter = follow(&model, &model, disturbance, &settings, &sensor, duration);
@@ -711,19 +671,22 @@ fn disturbances_are_found() {
             };
             for axis in 0..3 {
                 let most = if has_tip { 0.1 * unit } else { 0.0 };
-                let error = found.tip.force[axis] - disturbance.tip.force[axis];
+                let part = |of: &Disturbance, unknown| of.vector(unknown)[axis];
+                let error = |unknown| part(&found, unknown) - part(&disturbance, unknown);
                 if has_tip {
-                    within(error, sigma.tip.force[axis], most);
+                    let sigma = part(&sigma, Unknown::TipForce);
+                    within(error(Unknown::TipForce), sigma, most);
                 }
                 if has_distributed {
-                    let error = found.distributed[axis] - disturbance.distributed[axis];
-                    within(error, sigma.distributed[axis], 0.2 * along);
+                    let sigma = part(&sigma, Unknown::Distributed);
+                    within(error(Unknown::Distributed), sigma, 0.2 * along);
                 }
             }
             if is_soft {
-                within(found.stiffness - 0.8, sigma.stiffness, 0.02);
+                let error = found.value(Unknown::Stiffness) - 0.8;
+                within(error, sigma.value(Unknown::Stiffness), 0.02);
             }
-            assert_eq!(found.tip.moment, Vector3::zeros());
+            assert_eq!(found.vector(Unknown::TipMoment), Vector3::zeros());
         }
     }
 }
@@ -733,10 +696,7 @@ fn disturbances_are_found() {
 #[test]
 fn coarse_models_find_the_stiffness() {
     let (plant, model) = (rod(&upright(), 40), rod(&upright(), 10));
-    let disturbance = Disturbance {
-        stiffness: 0.8,
-        ..Disturbance::NONE
-    };
+    let disturbance = Disturbance::NONE.with(Unknown::Stiffness, &[0.8]);
     for preset in [
         SensorPreset::Mocap,
         SensorPreset::Em,
@@ -744,13 +704,10 @@ fn coarse_models_find_the_stiffness() {
         SensorPreset::Fbg,
         SensorPreset::Imu,
     ] {
-        let settings = KalmanSettings {
-            stiffness: walk(0.2, 0.02),
-            ..KalmanSettings::of(&model)
-        };
+        let settings = KalmanSettings::of(&model).with(Unknown::Stiffness, walk(0.2, 0.02));
         let sensor = preset.settings(&model);
         let filter = follow(&plant, &model, disturbance, &settings, &sensor, 6.0);
-        let found = filter.estimate().disturbance.stiffness;
+        let found = filter.estimate().disturbance.value(Unknown::Stiffness);
         assert!((found - 0.8).abs() < 0.03, "{preset:?}: {found}");
     }
 }
@@ -761,28 +718,20 @@ fn coarse_models_find_the_stiffness() {
 fn payloads_and_damping_are_found() {
     for (name, arm) in [("upright", upright()), ("hanging", hanging())] {
         let model = rod(&arm, 8);
-        let settings = KalmanSettings {
-            payload: walk(0.2 * model.mass(), 0.01 * model.mass()),
-            viscous: walk(1.0 / model.scales.time, 0.02 / model.scales.time),
-            ..KalmanSettings::of(&model)
-        };
+        let (mass, time) = (model.mass(), model.scales.time);
+        let settings = KalmanSettings::of(&model)
+            .with(Unknown::Payload, walk(0.2 * mass, 0.01 * mass))
+            .with(Unknown::Viscous, walk(1.0 / time, 0.02 / time));
         let sensor = SensorPreset::Mocap.settings(&model);
         for (payload, viscous) in [(0.2 * model.mass(), 0.0), (0.0, 2.0)] {
-            let disturbance = Disturbance {
-                payload,
-                viscous,
-                ..Disturbance::NONE
-            };
+            let disturbance = (Disturbance::NONE.with(Unknown::Payload, &[payload]))
+                .with(Unknown::Viscous, &[viscous]);
             let duration = 8.0 * model.scales.time;
             let filter = follow(&model, &model, disturbance, &settings, &sensor, duration);
             let (found, sigma) = (filter.estimate().disturbance, filter.estimate().deviation);
-            let off = [found.payload - payload, found.viscous - viscous];
-            let most = [0.05 * model.mass(), 0.6];
-            for ((off, sigma), most) in off
-                .into_iter()
-                .zip([sigma.payload, sigma.viscous])
-                .zip(most)
-            {
+            for (unknown, most) in [(Unknown::Payload, 0.05 * mass), (Unknown::Viscous, 0.6)] {
+                let off = found.value(unknown) - disturbance.value(unknown);
+                let sigma = sigma.value(unknown);
                 assert!(
                     off.abs() < (4.0 * sigma).min(most),
                     "{name}, {payload} kg, {viscous}/s: {off}, {sigma}"
@@ -798,25 +747,17 @@ fn payloads_and_damping_are_found() {
 fn delays_and_internal_damping_are_found() {
     let mut model = rod(&upright(), 8);
     model.scheme = TimeScheme::Implicit;
-    let usual = Unknowns {
-        internal: true,
-        delay: true,
-        ..Unknowns::NONE
-    };
+    let usual = Unknowns::of(&[Unknown::Internal, Unknown::Delay]);
     let settings = usual.settings(&model, PERIOD);
     for (delay, internal) in [(0.0, 0.0), (0.012, 0.0), (0.0, 0.015), (0.012, 0.015)] {
-        let disturbance = Disturbance {
-            internal,
-            delay,
-            ..Disturbance::NONE
-        };
+        let disturbance =
+            (Disturbance::NONE.with(Unknown::Internal, &[internal])).with(Unknown::Delay, &[delay]);
         let sensor = SensorPreset::Mocap.settings(&model);
         let filter = follow(&model, &model, disturbance, &settings, &sensor, 6.0);
         let (found, sigma) = (filter.estimate().disturbance, filter.estimate().deviation);
-        for (off, sigma) in [
-            (found.delay - delay, sigma.delay),
-            (found.internal - internal, sigma.internal),
-        ] {
+        for unknown in [Unknown::Delay, Unknown::Internal] {
+            let off = found.value(unknown) - disturbance.value(unknown);
+            let sigma = sigma.value(unknown);
             assert!(
                 off.abs() < (4.0 * sigma).min(3e-3),
                 "{off} {sigma} {found:?}"
@@ -838,21 +779,21 @@ fn parameters_are_not_surer_than_the_filter_says() {
     model.scheme = TimeScheme::Implicit;
     let settings = Unknowns::ALL.settings(&model, PERIOD);
     let mass = model.mass();
-    let wrong = |stiffness: f64, payload: f64, viscous: f64, internal: f64| Disturbance {
-        stiffness,
-        payload: payload * mass,
-        viscous,
-        internal,
-        ..Disturbance::NONE
+    let parameters = [
+        Unknown::Stiffness,
+        Unknown::Payload,
+        Unknown::Viscous,
+        Unknown::Internal,
+        Unknown::Delay,
+    ];
+    let wrong = |stiffness: f64, payload: f64, viscous: f64, internal: f64| {
+        let values = [stiffness, payload * mass, viscous, internal];
+        (parameters.into_iter().zip(values)).fold(Disturbance::NONE, |out, (unknown, value)| {
+            out.with(unknown, &[value])
+        })
     };
-    let pushed = Disturbance {
-        tip: Wrench::from_array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-        ..wrong(0.9, 0.0, 0.0, 0.0)
-    };
-    let late = Disturbance {
-        delay: 0.01,
-        ..wrong(0.8, 0.0, 0.0, 0.0)
-    };
+    let pushed = wrong(0.9, 0.0, 0.0, 0.0).with(Unknown::TipForce, &[1.0]);
+    let late = wrong(0.8, 0.0, 0.0, 0.0).with(Unknown::Delay, &[0.01]);
     let plants = [
         ("nothing wrong", wrong(1.0, 0.0, 0.0, 0.0)),
         ("soft", wrong(0.8, 0.0, 0.0, 0.0)),
@@ -873,13 +814,8 @@ fn parameters_are_not_surer_than_the_filter_says() {
             };
             let filter = follow(&model, &model, truth, &settings, &sensor, 6.0);
             let found = filter.estimate().disturbance;
-            let error = DVector::from_vec(vec![
-                found.stiffness - truth.stiffness,
-                found.payload - truth.payload,
-                found.viscous - truth.viscous,
-                found.internal - truth.internal,
-                found.delay - truth.delay,
-            ]);
+            let error = parameters.map(|of| found.value(of) - truth.value(of));
+            let error = DVector::from_column_slice(&error);
             let at = NODE_COMPONENTS * (model.n_nodes() - 1) + 9;
             let covariance = dense(filter.covariance())
                 .view((at, at), (N, N))

@@ -11,7 +11,7 @@ use softarm::control::{Bound, Hold, NodeForm, Shape, SharedTerm, StateCost, Stat
 use softarm::mechanics::{Energy, Rod, TimeGrid, Trajectory};
 use softarm::mpc::{
     Computing, Contender, Experiment, FallbackSettings, MpcSettings, Sensing, SensorChoice,
-    SensorPreset, SensorSettings, Unknowns,
+    SensorPreset, SensorSettings, Unknown, Unknowns,
 };
 use softarm::task::{ChannelLimits, Discretization, Limit, PathLimit, Place, Task};
 
@@ -248,11 +248,7 @@ fn norm(limit: f64) -> Option<Bound> {
 fn sees_markers(scene: &mut Experiment) {
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
-        unknowns: Unknowns {
-            tip_force: true,
-            stiffness: true,
-            ..Unknowns::NONE
-        },
+        unknowns: Unknowns::of(&[Unknown::TipForce, Unknown::Stiffness]),
         elements: None,
         step: None,
         seed: 5,

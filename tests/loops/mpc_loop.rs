@@ -11,7 +11,8 @@ use softarm::mechanics::{Rod, TimeScheme};
 use softarm::mpc::{
     Action, ActuatorDynamics, Cause, ClosedLoop, Computing, Contender, Experiment,
     FallbackSettings, KalmanFilter, Knowledge, LoopSettings, MpcError, MpcSettings, Outcome,
-    Quantity, Reading, Sensing, Sensor, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
+    Quantity, Reading, Sensing, Sensor, SensorChoice, SensorPreset, SimulatedArm, Unknown,
+    Unknowns,
 };
 use softarm::task::{Discretization, Place, PointLoad};
 
@@ -84,9 +85,9 @@ fn disturbances_are_estimated() {
     println!("{} {}", open.tip_error.rms, seeing.tip_error.rms);
     assert!(seeing.tip_error.rms < 5e-3 && seeing.tip_error.rms < 0.1 * open.tip_error.rms);
     let last = seeing.samples.last().unwrap();
-    let off = last.disturbance.stiffness - 0.8;
+    let off = last.disturbance.value(Unknown::Stiffness) - 0.8;
     assert!(
-        off.abs() < 4.0 * last.deviation.stiffness.max(0.03),
+        off.abs() < 4.0 * last.deviation.value(Unknown::Stiffness).max(0.03),
         "{off}"
     );
 }
@@ -133,15 +134,9 @@ fn filters_say_that_something_is_missing() {
     curved.plant.rest_curvature.x = 0.2;
     curved.duration = 4.0;
     curved.counted_from = 2.0;
-    let all = Unknowns {
-        delay: false,
-        ..Unknowns::ALL
-    };
-    let few = Unknowns {
-        internal: false,
-        ..all
-    };
-    assert_eq!(few.missing(), ["internal", "delay"]);
+    let all = Unknowns::ALL.without(Unknown::Delay);
+    let few = all.without(Unknown::Internal);
+    assert_eq!(few.missing(), [Unknown::Internal, Unknown::Delay]);
     let [few, all] = [few, all].map(|list| run(&estimated(curved.clone(), list), Contender::Mpc));
     let [doubted, found] = [&few, &all].map(|run| run.tally.innovations.unwrap());
     println!(
@@ -151,7 +146,7 @@ fn filters_say_that_something_is_missing() {
     assert!(doubted.is_off && !found.is_off, "{doubted:?} {found:?}");
     assert!(all.tip_error.rms < 5e-3);
     let last = all.samples.last().unwrap();
-    let off = last.disturbance.internal - 0.03;
+    let off = last.disturbance.value(Unknown::Internal) - 0.03;
     assert!(off.abs() < 0.2 * 0.03, "{off}");
 }
 

@@ -7,10 +7,10 @@ use softarm::control::{
 use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme, Wrench,
+    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme,
     static_equilibrium,
 };
-use softarm::mpc::{Controller, Disturbance, MpcSettings};
+use softarm::mpc::{Controller, Disturbance, MpcSettings, Unknown};
 use softarm::task::{
     Arm, ChannelLimits, Cost, Discretization, EffortControl, Limit, PathLimit, Place, PointLoad,
     Rest, Start, StartShape, Target, Task, Track, WrenchActuator,
@@ -416,10 +416,7 @@ fn holding_efforts_hold() {
         ..arm.clone()
     };
     let uncorrected = off(&softer, &found);
-    let found = free(&Disturbance {
-        stiffness: 0.9,
-        ..Disturbance::NONE
-    });
+    let found = free(&Disturbance::NONE.with(Unknown::Stiffness, &[0.9]));
     let corrected = off(&softer, &found);
     assert!(corrected < 0.5 * uncorrected, "{corrected} {uncorrected}");
     let force = Vector3::new(5e-3, -3e-3, 0.0);
@@ -430,13 +427,7 @@ fn holding_efforts_hold() {
         ..Default::default()
     });
     let uncorrected = off(&loaded, &free(&Disturbance::NONE));
-    let found = free(&Disturbance {
-        tip: Wrench {
-            force,
-            ..Wrench::default()
-        },
-        ..Disturbance::NONE
-    });
+    let found = free(&Disturbance::NONE.with(Unknown::TipForce, force.as_slice()));
     let corrected = off(&loaded, &found);
     assert!(corrected < 0.5 * uncorrected, "{corrected} {uncorrected}");
 }

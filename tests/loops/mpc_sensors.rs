@@ -11,7 +11,7 @@ use softarm::mechanics::rotation::log;
 use softarm::mechanics::{DistributedLoad, LoadFrame, Rod, State, StrainRule};
 use softarm::mpc::{
     Contender, Disturbance, KalmanFilter, KalmanSettings, Measurement, MpcError, Quantity, Reading,
-    Sensor, SensorPreset, SensorSettings, Signal, Transfer,
+    Sensor, SensorPreset, SensorSettings, Signal, Transfer, Unknown,
 };
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
@@ -158,25 +158,13 @@ fn derivatives_of_readings_are_derivatives() {
                 });
                 disturbed(n_state + 6 + axis, loaded, 1.0);
             }
-            let parameters: [fn(f64) -> Disturbance; 3] = [
-                |change| Disturbance {
-                    stiffness: 1.0 + change,
-                    ..Disturbance::NONE
-                },
-                |change| Disturbance {
-                    payload: change,
-                    ..Disturbance::NONE
-                },
-                |change| Disturbance {
-                    viscous: change,
-                    ..Disturbance::NONE
-                },
-            ];
+            let parameters = [Unknown::Stiffness, Unknown::Payload, Unknown::Viscous];
             let units = [1.0, model.nodes[model.tip()].mass, 1.0];
             for (i, (of, unit)) in parameters.into_iter().zip(units).enumerate() {
                 let changed = [-STEP, STEP].map(|change| {
                     let mut rod = model.clone();
-                    of(change * unit).change_model(&model, &mut rod);
+                    let value = of.row().neutral + change * unit;
+                    (Disturbance::NONE.with(of, &[value])).change_model(&model, &mut rod);
                     rod
                 });
                 disturbed(n - 3 + i, changed, STEP * unit);

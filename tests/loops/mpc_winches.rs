@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 use softarm::mechanics::{TimeScheme, Winch};
 use softarm::mpc::{
     Computing, Contender, Experiment, LoopSettings, MpcSettings, Sensing, SensorChoice,
-    SensorPreset, Unknowns,
+    SensorPreset, Unknown, Unknowns,
 };
 use softarm::task::{Arm, Discretization, Task};
 
@@ -90,11 +90,7 @@ fn wrong_arms_are_followed_by_winches() {
     scene.plant_discretization = Discretization::with_elements(12);
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
-        unknowns: Unknowns {
-            tip_force: true,
-            stiffness: true,
-            ..Unknowns::NONE
-        },
+        unknowns: Unknowns::of(&[Unknown::TipForce, Unknown::Stiffness]),
         elements: None,
         step: None,
         seed: 3,

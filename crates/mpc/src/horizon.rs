@@ -215,8 +215,6 @@ impl Horizon {
         price: Option<f64>,
     ) -> Result<Self, MpcError> {
         refuse_unsupported(&problem)?;
-        // The rows of a plan depend on states alone.
-        (problem.path).retain(|path| !path.limit.depends_on_inputs());
         let model = Arc::clone(&problem.rod);
         // The rod that disturbances change is the horizon's own from the beginning: a sample allocates nothing.
         Arc::make_mut(&mut problem.rod);
@@ -243,7 +241,7 @@ impl Horizon {
         } = Drivers::of(&problem, &components);
         let trajectory = resting(&start, grid);
         let rows = {
-            let whole = evaluated(&problem, &trajectory, grid, &start);
+            let whole = evaluated(&problem, (&trajectory, None), grid, &start);
             Rows::new(&problem, &whole.states, weight, price, n_states)
         };
         let winches = WinchSlopes::of(&problem.rod, &on_strains, grid);
@@ -422,7 +420,7 @@ impl Horizon {
     pub fn disturb(&mut self, disturbance: &Disturbance) {
         self.disturbing.fill(Wrench::default());
         disturbance.add_to(&self.model, &mut self.disturbing);
-        self.delay = disturbance.delay;
+        self.delay = disturbance.delay();
         let parameters = disturbance.parameters();
         if parameters != self.parameters {
             disturbance.change_model(&self.model, Arc::make_mut(&mut self.problem.rod));
@@ -582,6 +580,20 @@ impl Horizon {
     /// Writes the limits of the present horizon as rows of a subproblem, except for their values.
     pub fn write_limits(&self, soft: &mut SoftRows) {
         self.rows.write_limits(&self.sweep, self.n_present(), soft);
+        let n = self.components.len();
+        (self.rows).write_along_inputs(&self.problem, &mut |row, k, actuator, slope| {
+            let slopes = soft.slopes.col_as_slice_mut(row);
+            for (coefficient, weight) in self.knots.at_node(&self.grid, k) {
+                let own = &mut slopes[coefficient * n..][..n];
+                for ((effects, scale), out) in self.effects.iter().zip(&self.scales).zip(own) {
+                    let driven = effects
+                        .iter()
+                        .filter(|own| own.on == Part::Effort(actuator));
+                    let size: f64 = driven.map(|own| own.size).sum();
+                    *out += slope * weight * scale * size;
+                }
+            }
+        });
     }
 
     /// Writes the values of the limit rows for a start that deviates.
@@ -644,15 +656,20 @@ impl Horizon {
         let acting = self.acting_grid();
         self.rows.evaluate(&Evaluated {
             grid: self.grid,
-            ..evaluated(&self.problem, &self.trajectory, acting, &self.end)
+            ..evaluated(
+                &self.problem,
+                (&self.trajectory, self.efforts.as_ref()),
+                acting,
+                &self.end,
+            )
         });
     }
 }
 
-/// Returns a motion that ends in `end`, with the times of a grid.
+/// Returns a motion under efforts that ends in `end`, with the times of a grid.
 fn evaluated<'a>(
     problem: &'a OptimalControlProblem,
-    trajectory: &'a Trajectory,
+    (trajectory, efforts): (&'a Trajectory, Option<&'a ControlSignal>),
     grid: TimeGrid,
     end: &'a State,
 ) -> Evaluated<'a> {
@@ -668,5 +685,6 @@ fn evaluated<'a>(
             momenta: [&end.linear_momentum, &end.angular_momentum],
         },
         grid,
+        efforts,
     }
 }

@@ -92,7 +92,8 @@ pub use controller::{ControllerParts, followed, with_long_steps};
 pub use error::MpcError;
 pub use estimator::{
     Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation, KalmanFilter,
-    KalmanSettings, Predictor, RandomWalk, Regridded,
+    KalmanSettings, N_COMPONENTS, N_UNKNOWNS, Needs, Predictor, RandomWalk, Regridded, Unknown,
+    UnknownRow,
 };
 pub use limits::KEPT;
 pub use plant::{Plant, RodPlant};

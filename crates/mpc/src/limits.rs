@@ -2,7 +2,7 @@
 //!
 //! A limit has a row `h ≤ 0` for every element or point of the arm. The controller evaluates it at every sample of the horizon but the
 //! first, which no command can change any more: of a limit on strains every element, because a strain that is taken from one element bends
-//! its neighbors, and of all other limits the greatest local maxima along the arm.
+//! its neighbors, of the limit that keeps tendons taut every tendon, and of all other limits the greatest local maxima along the arm.
 
 use control::OptimalControlProblem;
 use control::path::{PathEnforcement, PathLimit, RodView};
@@ -159,6 +159,8 @@ pub(super) fn limit_rows(problem: &OptimalControlProblem, prices: &Prices) -> Ve
 fn n_seen(limit: &PathLimit, rod: &Rod) -> usize {
     match limit.rows_per_element() {
         Some(_) => rod.n_elements(),
+        // Every tendon has its own winch.
+        None if limit.depends_on_inputs() => limit.n_items(rod),
         None => MAXIMA.min(limit.n_items(rod)),
     }
 }
@@ -189,6 +191,7 @@ impl Maxima {
                     }
                 })
             }
+            None if limit.depends_on_inputs() => Some(rank),
             None => {
                 if rank == 0 {
                     self.0 = maxima(limit.n_items(view.rod), value);

@@ -11,9 +11,10 @@ use super::soft_rows::SoftRows;
 use control::path::RodView;
 use control::residual::{Residual, ResidualKind, States, cost_residuals, goal_residuals};
 use control::{GoalPart, OptimalControlProblem};
+use mechanics::forms::NODE_COMPONENTS;
 use mechanics::linearization::StateTangent;
 use mechanics::sensitivity::RepeatedReverse;
-use mechanics::{StateForm, TimeGrid};
+use mechanics::{ControlSignal, StateForm, TimeGrid};
 
 /// Number of terms of the form of a limit: six components of two nodes.
 const LIMIT_TERMS: usize = 12;
@@ -28,6 +29,8 @@ pub(super) struct Evaluated<'a> {
     pub states: States<'a>,
     /// The grid for the motion of obstacles.
     pub grid: TimeGrid,
+    /// Efforts of the plan at the time nodes.
+    pub efforts: Option<&'a ControlSignal>,
 }
 
 /// All rows of the longest horizon; those of the present one are the last.
@@ -125,7 +128,13 @@ impl Rows {
         let mut forms = Vec::with_capacity(order.len());
         for (form, &(time_node, row, instant)) in order.iter().enumerate() {
             row_forms[row][instant] = Some(form);
-            let room = if row < n_rows { 0 } else { LIMIT_TERMS };
+            let room = match row.checked_sub(n_rows) {
+                None => 0,
+                Some(row) if problem.path[limits[row].limit].limit.depends_on_inputs() => {
+                    NODE_COMPONENTS * problem.rod.n_nodes()
+                }
+                Some(_) => LIMIT_TERMS,
+            };
             forms.push(StateForm {
                 time_node,
                 terms: Vec::with_capacity(room),
@@ -277,7 +286,12 @@ impl Rows {
         let Some(item) = self.maxima.item(limit, &view, [from, k], row.rank) else {
             return;
         };
-        self.limit_values[index] = limit.value_since(&view, [from, k], item);
+        let of_input = limit.along_input(&at.problem.rod, item).zip(at.efforts);
+        let from_input = of_input.map_or(0.0, |((actuator, slope), efforts)| {
+            let n = at.problem.rod.actuators.len();
+            slope * efforts.inputs[k * n + actuator]
+        });
+        self.limit_values[index] = limit.value_since(&view, [from, k], item) + from_input;
         let (of_row, forms) = (self.limit_forms[index], &mut self.forms);
         limit.slopes(&view, [from, k], item, &mut |instant, term| {
             if let Some(form) = of_row[instant] {
@@ -335,6 +349,21 @@ impl Rows {
             for (j, slope) in slopes[..n].iter_mut().enumerate() {
                 let forms = &self.limit_forms[index];
                 *slope = self.slope(forms, |form| sweep.along_column(form, j));
+            }
+        }
+    }
+
+    /// Calls `visit` for the present rows of limits that depend on the input of an actuator: with the index of the row among these, its time
+    /// node, the actuator, and the slope of the row along the input.
+    pub fn write_along_inputs(
+        &self,
+        problem: &OptimalControlProblem,
+        visit: &mut dyn FnMut(usize, usize, usize, f64),
+    ) {
+        for (at, row) in self.limits[self.first.limit..].iter().enumerate() {
+            let limit = &problem.path[row.limit].limit;
+            if let Some((actuator, slope)) = limit.along_input(&problem.rod, row.rank) {
+                visit(at, row.time_node - self.passed, actuator, slope);
             }
         }
     }

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::OutputError;
 use super::reading::read_text;
-use mpc::{Disturbance, Innovations, Percentiles, Sample, TipError};
+use mpc::{Innovations, N_COMPONENTS, Percentiles, Sample, TipError, Unknown};
 use verify::doubt::UnderDoubt;
 
 /// Figures of a closed loop before it runs, as `check` reports them.
@@ -251,25 +251,6 @@ struct Columns(Vec<Column>);
 /// A column: its name, and what a sample has in it.
 type Column = (String, Box<dyn Fn(&Sample) -> String>);
 
-/// Parts of a disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness, payload (kg), viscous
-/// damping (1/s), time of internal damping and delay (s).
-const PARTS: [Named<Disturbance>; 14] = [
-    ("tip_fx", |d| d.tip.force.x),
-    ("tip_fy", |d| d.tip.force.y),
-    ("tip_fz", |d| d.tip.force.z),
-    ("tip_mx", |d| d.tip.moment.x),
-    ("tip_my", |d| d.tip.moment.y),
-    ("tip_mz", |d| d.tip.moment.z),
-    ("distributed_x", |d| d.distributed.x),
-    ("distributed_y", |d| d.distributed.y),
-    ("distributed_z", |d| d.distributed.z),
-    ("stiffness", |d| d.stiffness),
-    ("payload", |d| d.payload),
-    ("viscous", |d| d.viscous),
-    ("internal", |d| d.internal),
-    ("delay", |d| d.delay),
-];
-
 /// Times of the parts of a sample, and of the whole, s.
 const TIMES: [Named<Sample>; 5] = [
     ("estimate_ms", |s| s.estimate_s),
@@ -313,14 +294,14 @@ impl Columns {
         out.text("action", |s| {
             s.fallback.as_ref().map(|(_, action)| action.to_string())
         });
-        for (name, part) in PARTS {
+        for (i, name) in Unknown::columns().enumerate() {
             out.number(format!("{ESTIMATED}{name}"), move |s| {
-                Some(part(&s.disturbance))
+                Some(s.disturbance.components()[i])
             });
         }
-        for (name, part) in PARTS {
+        for (i, name) in Unknown::columns().enumerate() {
             out.number(format!("{DEVIATION}{name}"), move |s| {
-                Some(part(&s.deviation))
+                Some(s.deviation.components()[i])
             });
         }
         for (name, seconds) in TIMES {
@@ -399,11 +380,10 @@ pub struct SampleRow {
     pub force: [f64; 3],
     /// First moment of the command, body frame, N m.
     pub moment: [f64; 3],
-    /// Estimated disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness, payload (kg), viscous
-    /// damping (1/s), time of internal damping and delay (s).
-    pub disturbance: [f64; 14],
-    /// Standard deviations of the estimated disturbance.
-    pub deviation: [f64; 14],
+    /// Components of the estimated unknowns, in the order and the units of [`Unknown::TABLE`].
+    pub disturbance: [f64; N_COMPONENTS],
+    /// Their standard deviations.
+    pub deviation: [f64; N_COMPONENTS],
     /// Times of estimation, prediction, feedback, preparation and of the whole sample, ms.
     pub times_ms: [f64; 5],
 }
@@ -421,8 +401,8 @@ impl SampleRow {
             turn: sample.turn.unwrap_or(f64::NAN),
             force: sample.wrench.force.into(),
             moment: sample.wrench.moment.into(),
-            disturbance: PARTS.map(|(_, part)| part(&sample.disturbance)),
-            deviation: PARTS.map(|(_, part)| part(&sample.deviation)),
+            disturbance: *sample.disturbance.components(),
+            deviation: *sample.deviation.components(),
             times_ms: TIMES.map(|(_, seconds)| 1e3 * seconds(sample)),
         }
     }
@@ -478,11 +458,11 @@ pub fn read_samples(path: &Path, most: usize) -> Result<Vec<SampleRow>, OutputEr
             turn: known("turn")?,
             force: three("f")?,
             moment: three("m")?,
-            disturbance: [0.0; 14],
-            deviation: [0.0; 14],
+            disturbance: [0.0; N_COMPONENTS],
+            deviation: [0.0; N_COMPONENTS],
             times_ms: [0.0; 5],
         };
-        for (i, (name, _)) in PARTS.iter().enumerate() {
+        for (i, name) in Unknown::columns().enumerate() {
             row.disturbance[i] = number(&format!("{ESTIMATED}{name}"))?;
             row.deviation[i] = number(&format!("{DEVIATION}{name}"))?;
         }

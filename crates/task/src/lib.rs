@@ -52,3 +52,5 @@ pub use discretize::{MOST_STEPS, longest_step};
 pub use distributed::DistributedCouple;
 pub use effort::{EffortControl, Follows};
 pub use error::{DiscretizeError, NearestHeld, Obstruction};
+#[doc(hidden)]
+pub use taut::{allow_slack, taut_limit};

@@ -19,23 +19,25 @@ pub(super) fn keep_taut(problem: &mut OptimalControlProblem) {
     if problem.rod.scheme != TimeScheme::Implicit {
         return;
     }
+    problem.path.extend(taut_limit(problem));
+}
+
+/// Returns the limit that keeps those tendons of winches taut that are controls and are taut at the start; `None` without any.
+#[must_use]
+pub fn taut_limit(problem: &OptimalControlProblem) -> Option<PathConstraint> {
     let tendons = taut_tendons(problem);
-    if tendons.is_empty() {
-        return;
-    }
-    // Neither a first coefficient nor a state at the start is chosen.
-    let time_nodes = (1..=problem.grid.n_steps).collect();
-    problem.path.push(PathConstraint {
+    (!tendons.is_empty()).then(|| PathConstraint {
         name: TAUT.into(),
         limit: PathLimit::Taut { tendons },
-        time_nodes,
+        // Neither a first coefficient nor a state at the start is chosen.
+        time_nodes: (1..=problem.grid.n_steps).collect(),
         enforcement: PathEnforcement::Hard,
         margins: Vec::new(),
-    });
+    })
 }
 
 /// Removes the tendons from that limit that what holds the target leaves slack.
-pub(super) fn allow_slack(problem: &mut OptimalControlProblem, stay: &Stay) {
+pub fn allow_slack(problem: &mut OptimalControlProblem, stay: &Stay) {
     let slack = slack_tendons(problem, stay);
     for path in &mut problem.path {
         if let PathLimit::Taut { tendons } = &mut path.limit {

@@ -1,4 +1,4 @@
-//! Estimators of a closed loop: their keys, and the unknowns that they estimate.
+//! Estimators of a closed loop: their keys. The unknowns that they estimate are those of [`Unknown::TABLE`].
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive};
+use super::Scene;
 use super::base::EndKind;
-use crate::mpc::{Sensing, SensorChoice, SensorSettings, Unknowns};
+use crate::mpc::{Needs, Sensing, SensorChoice, SensorSettings, Unknown, Unknowns};
 
 /// Estimator of the state from sensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -26,7 +27,7 @@ pub struct Estimator {
     /// Absent: automatic.
     pub step_s: Option<Positive<values::Duration>>,
     /// Unknowns that are estimated besides the state. Absent: for a Kalman filter all of them that move the arm (a tip that is held answers
-    /// to no force and no mass, and turns only if it is pinned).
+    /// to no force and no mass, and turns only if it is pinned; friction is that of tendons that have some).
     pub disturbances: Option<Vec<Unknown>>,
     /// Rate of change of the unknown wrenches of a Kalman filter: the deflection over the length that they typically
     /// cause within a hundred periods of the loop, divided by that time; not negative. They are random walks: within another time the
@@ -45,62 +46,34 @@ pub enum EstimatorKind {
     Kalman,
 }
 
-/// Unknown that an estimator finds besides the state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Unknown {
-    /// A force on the tip.
-    TipForce,
-    /// A moment on the tip.
-    TipMoment,
-    /// A force all along the arm.
-    Distributed,
-    /// A factor on the stiffness.
-    Stiffness,
-    /// A mass on the tip, beyond that of `[payload]`.
-    Payload,
-    /// Viscous damping, beyond that of `[damping]`.
-    Viscous,
-    /// Internal damping, beyond that of `[damping]`; of a model with implicit steps.
-    Internal,
-    /// Delay of the commands, beyond `mpc.actuator_delay_s`.
-    Delay,
-}
-
 impl Estimator {
-    /// Unknowns that are estimated besides the state, on an arm with this kind of tip.
-    pub(crate) fn unknowns(&self, tip: EndKind) -> Vec<Unknown> {
+    /// Unknowns that are estimated besides the state, on the arm of a scene.
+    pub(in crate::scene) fn unknowns(&self, scene: &Scene) -> Vec<Unknown> {
         match (&self.disturbances, self.kind) {
             (Some(named), _) => named.clone(),
-            (None, EstimatorKind::Kalman) => (Unknown::ALL.into_iter())
-                .filter(|unknown| unknown.moves(tip))
+            (None, EstimatorKind::Kalman) => Unknown::all()
+                .filter(|unknown| unmoved(*unknown, scene).is_none())
                 .collect(),
             (None, EstimatorKind::None) => Vec::new(),
         }
     }
 }
 
-impl Unknown {
-    /// All unknowns.
-    pub(crate) const ALL: [Self; 8] = [
-        Self::TipForce,
-        Self::TipMoment,
-        Self::Distributed,
-        Self::Stiffness,
-        Self::Payload,
-        Self::Viscous,
-        Self::Internal,
-        Self::Delay,
-    ];
-
-    /// Tells whether it changes the motion of an arm with this kind of tip.
-    fn moves(self, tip: EndKind) -> bool {
-        match self {
-            Self::TipForce | Self::Payload => tip == EndKind::Free,
-            Self::TipMoment => matches!(tip, EndKind::Free | EndKind::Pinned),
-            _ => true,
-        }
-    }
+/// Returns what an arm is that an unknown does not move, and a remedy; `None` if it moves the arm of the scene.
+fn unmoved(unknown: Unknown, scene: &Scene) -> Option<[String; 2]> {
+    let tip = scene.tip_kind();
+    let moves = match unknown.row().needs {
+        Needs::FreeTip => tip == EndKind::Free,
+        Needs::TurningTip => matches!(tip, EndKind::Free | EndKind::Pinned),
+        Needs::Friction => scene.tendon.iter().any(|own| own.friction.get() > 0.0),
+        Needs::Nothing | Needs::ImplicitSteps => true,
+    };
+    let of_tendons = "give those tendons of the model a friction, however small, that have an unknown one, or leave it out";
+    let of_tip = "leave it out; \"distributed\" is what pushes such an arm";
+    (!moves).then(|| match unknown.row().needs {
+        Needs::Friction => ["without a tendon with friction".into(), of_tendons.into()],
+        _ => [format!("whose tip is {}", tip.name()), of_tip.into()],
+    })
 }
 
 impl Estimator {
@@ -109,23 +82,14 @@ impl Estimator {
         &self,
         sensors: &[SensorSettings],
         seed: u32,
-        tip: EndKind,
+        scene: &Scene,
     ) -> Sensing {
-        let named = self.unknowns(tip);
-        let has = |unknown| named.contains(&unknown);
-        let unknowns = match self.kind {
-            EstimatorKind::None => return Sensing::Everything,
-            EstimatorKind::Kalman => Unknowns {
-                tip_force: has(Unknown::TipForce),
-                tip_moment: has(Unknown::TipMoment),
-                distributed: has(Unknown::Distributed),
-                stiffness: has(Unknown::Stiffness),
-                payload: has(Unknown::Payload),
-                viscous: has(Unknown::Viscous),
-                internal: has(Unknown::Internal),
-                delay: has(Unknown::Delay),
-                wrench_change: self.wrench_change_1_s.map(Number::get),
-            },
+        if self.kind == EstimatorKind::None {
+            return Sensing::Everything;
+        }
+        let unknowns = Unknowns {
+            wrench_change: self.wrench_change_1_s.map(Number::get),
+            ..Unknowns::of(&self.unknowns(scene))
         };
         Sensing::Estimated {
             sensors: sensors.iter().cloned().map(SensorChoice::Own).collect(),
@@ -141,24 +105,20 @@ impl Keys<'_> {
     pub(in crate::scene) fn check_estimator(
         &self,
         estimator: &Estimator,
-        no_sensor: bool,
-        tip: EndKind,
+        scene: &Scene,
     ) -> Checked {
+        let no_sensor = scene.sensor.is_empty();
         if estimator.kind != EstimatorKind::None && no_sensor {
             return Err(self.missing("sensor", "an estimator needs one; preset = \"mocap\""));
         }
         if let Some(elements) = estimator.elements {
             self.count("estimator.elements", elements, MOST_ELEMENTS)?;
         }
-        let named = estimator.unknowns(tip);
+        let named = estimator.unknowns(scene);
         for (index, one) in named.iter().enumerate() {
-            if !one.moves(tip) {
+            if let Some([arm, help]) = unmoved(*one, scene) {
                 let key = format!("estimator.disturbances.{index}");
-                let message = format!(
-                    "it does not move an arm whose tip is {}, so that no filter finds it",
-                    tip.name()
-                );
-                let help = "leave it out; \"distributed\" is what pushes such an arm".to_string();
+                let message = format!("it does not move an arm {arm}, so that no filter finds it");
                 return Err(self.source.error_at(&key, message, Some(help)));
             }
             if named[..index].contains(one) {

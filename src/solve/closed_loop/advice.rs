@@ -2,9 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::mpc::{
-    Cause, Contender, FallbackSettings, Innovations, Outcome, Sensing, TipError, Unknowns,
-};
+use crate::mpc::{Cause, Contender, FallbackSettings, Innovations, Outcome, Sensing, TipError};
 use crate::output::closed_loop::LimitPeak;
 use crate::scene::{ClosedLoopSetup, LARGEST_STRETCH};
 use crate::stop::StopSignal;
@@ -148,7 +146,7 @@ fn estimate_advice(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
     }
     out.extend((run.samples.last()).and_then(|last| last.lift(&setup.model)));
     let late = (run.samples.last())
-        .map(|last| (last.disturbance.delay, last.deviation.delay))
+        .map(|last| (last.disturbance.delay(), last.deviation.delay()))
         .filter(|(delay, deviation)| *deviation > 0.0 && delay.abs() > CERTAIN * deviation);
     let last = (LAST * run.samples.len() as f64) as usize;
     let doubt = Innovations::of(&run.samples[last..]).filter(|found| found.is_off);
@@ -192,14 +190,11 @@ fn changes(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
         return Vec::new();
     }
     let mut what = Vec::new();
-    let looks_for = match &own.sensing {
-        Sensing::Everything => Unknowns::NONE,
-        Sensing::Estimated { unknowns, .. } => Unknowns {
-            wrench_change: Unknowns::NONE.wrench_change,
-            ..*unknowns
-        },
+    let looks_for_nothing = match &own.sensing {
+        Sensing::Everything => true,
+        Sensing::Estimated { unknowns, .. } => unknowns.is_empty(),
     };
-    if looks_for == Unknowns::NONE {
+    if looks_for_nothing {
         what.push(
             "[estimator] with estimator.disturbances finds what the model has wrong, which nothing here looks for",
         );

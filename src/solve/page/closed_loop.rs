@@ -8,7 +8,7 @@ use super::{
     FRAMES, ROWS, add_components, arm, arrows, drawn_arm, efforts, fields, reaction, words,
 };
 use crate::control::Hold;
-use crate::mpc::{Sensing, SensorChoice};
+use crate::mpc::{Sensing, SensorChoice, Unknown};
 use crate::output::closed_loop::SampleRow;
 use crate::output::{
     self, Columns, EffortRow, MotionRecord, OutputError, ReportCommand, ReportControls, ReportData,
@@ -128,6 +128,9 @@ fn context(
         "efforts": efforts,
         "scene": setup.resolved,
         "measured": measured(setup),
+        "unknowns": Unknown::TABLE.map(|row| {
+            json!([row.words, row.unit, row.symbols, row.columns, row.neutral])
+        }),
         "plant": arm::arm(&own.plant, &setup.plant, known),
         "plant_as_loaded": arm::arm(&own.plant, &setup.plant, all),
         "model": arm::arm(&own.arm, &setup.model, all),
@@ -242,23 +245,6 @@ fn controls(setup: &ClosedLoopSetup, samples: &[&SampleRow]) -> ReportControls {
     }
 }
 
-/// Estimated disturbances, as the columns of `samples.csv` call them.
-const ESTIMATED: [&str; 14] = [
-    "tip_fx",
-    "tip_fy",
-    "tip_fz",
-    "tip_mx",
-    "tip_my",
-    "tip_mz",
-    "distributed_x",
-    "distributed_y",
-    "distributed_z",
-    "stiffness",
-    "payload",
-    "viscous",
-    "internal",
-    "delay",
-];
 /// Index of the time of the whole sample.
 const WHOLE: usize = 4;
 
@@ -274,7 +260,7 @@ fn columns(samples: &[&SampleRow], period: f64) -> Columns {
     add("t", &|s| s.t);
     add("error", &|s| s.error);
     add("turn", &|s| s.turn);
-    for (i, name) in ESTIMATED.into_iter().enumerate() {
+    for (i, name) in Unknown::columns().enumerate() {
         add(&format!("estimated_{name}"), &|s| s.disturbance[i]);
         add(&format!("deviation_{name}"), &|s| s.deviation[i]);
     }

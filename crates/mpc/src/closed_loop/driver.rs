@@ -356,8 +356,8 @@ impl Driver {
         let mut state = self.state.clone();
         let disturbance = self.compensated();
         let sent = &self.sent[self.sent.len() - 1];
-        let span = [sent.start, sent.end].map(|t| t + disturbance.delay);
-        late_at(&self.sent, disturbance.delay, span, &mut self.late);
+        let span = [sent.start, sent.end].map(|t| t + disturbance.delay());
+        late_at(&self.sent, disturbance.delay(), span, &mut self.late);
         let moved = (self.predictor).advance(&mut state, span, &self.late, &disturbance);
         let tip = state.configuration.positions[self.controller.followed()];
         moved.ok().map(|()| tip)
@@ -450,9 +450,14 @@ impl Driver {
         let disturbance = self.compensated();
         let mut from = self.known_at;
         // The estimated delay applies to this command and to every one before it.
-        let until = until + disturbance.delay;
+        let until = until + disturbance.delay();
         while from < until - rounding_of(until) {
-            let end = late_at(&self.sent, disturbance.delay, [from, until], &mut self.late);
+            let end = late_at(
+                &self.sent,
+                disturbance.delay(),
+                [from, until],
+                &mut self.late,
+            );
             let moved =
                 (self.predictor).advance(&mut self.state, [from, end], &self.late, &disturbance);
             if moved.is_err() {
@@ -505,7 +510,7 @@ impl Driver {
         self.sent.push_back(command);
         // Commands that ended before the oldest estimate are no longer needed.
         let oldest =
-            self.known_at - self.disturbance.delay.max(0.0) - self.controller.settings().period;
+            self.known_at - self.disturbance.delay().max(0.0) - self.controller.settings().period;
         while (self.sent.get(1)).is_some_and(|next| next.start < oldest) {
             self.sent.pop_front();
         }
@@ -560,7 +565,7 @@ fn advance(
             time, disturbance, ..
         } = estimator.estimate();
         let from = *time;
-        let end = late_at(sent, disturbance.delay, [from, until], late);
+        let end = late_at(sent, disturbance.delay(), [from, until], late);
         estimator.advance(late, end)?;
         if end >= until - rounding_of(until) {
             return Ok(());

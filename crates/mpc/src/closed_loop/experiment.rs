@@ -6,14 +6,14 @@ use std::sync::Arc;
 use super::{
     ClosedLoop, Computing, Driver, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
 };
-use crate::beam::weakest_bending;
 use crate::controller::{Controller, MpcSettings};
 use crate::error::MpcError;
-use crate::estimator::{Estimator, KalmanFilter, KalmanSettings, RandomWalk, Regridded};
+use crate::estimator::{
+    Estimator, KalmanFilter, KalmanSettings, N_UNKNOWNS, Needs, RandomWalk, Regridded, Unknown,
+};
 use crate::sensor::{Sensor, SensorPreset, SensorSettings};
 use crate::simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
 use crate::transfer::Transfer;
-use mechanics::beam::Beam;
 use mechanics::{Rod, State, StepError};
 use stop::StopSignal;
 use task::{Arm, Discretization, DiscretizeError, Task, longest_step};
@@ -84,22 +84,8 @@ pub enum SensorChoice {
 /// Quantities that a Kalman filter estimates besides the state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unknowns {
-    /// A force at the tip.
-    pub tip_force: bool,
-    /// A moment at the tip.
-    pub tip_moment: bool,
-    /// A force all along the arm.
-    pub distributed: bool,
-    /// A factor on the stiffness.
-    pub stiffness: bool,
-    /// A mass at the tip.
-    pub payload: bool,
-    /// Viscous damping.
-    pub viscous: bool,
-    /// Internal damping, of a model with implicit steps.
-    pub internal: bool,
-    /// Delay of the commands beyond their known delay.
-    pub delay: bool,
+    /// Those that are estimated, in the order of [`Unknown::TABLE`].
+    pub estimated: [bool; N_UNKNOWNS],
     /// Rate of change of unknown wrenches, 1/s: the standard deviation of the deflection that they cause within a hundred periods of the
     /// loop, divided by the length and by that time; they are random walks, and within another time it grows with the root. With a larger
     /// value, pushes are followed faster, and so is the noise of sensors. `None`: 0.007 divided by that time.
@@ -115,28 +101,43 @@ impl Default for Unknowns {
 impl Unknowns {
     /// No unknowns, and the default rate of change of wrenches.
     pub const NONE: Self = Self {
-        tip_force: false,
-        tip_moment: false,
-        distributed: false,
-        stiffness: false,
-        payload: false,
-        viscous: false,
-        internal: false,
-        delay: false,
+        estimated: [false; N_UNKNOWNS],
         wrench_change: None,
     };
     /// All unknowns.
     pub const ALL: Self = Self {
-        tip_force: true,
-        tip_moment: true,
-        distributed: true,
-        stiffness: true,
-        payload: true,
-        viscous: true,
-        internal: true,
-        delay: true,
+        estimated: [true; N_UNKNOWNS],
         ..Self::NONE
     };
+
+    /// Returns these unknowns, with the default rate of change of wrenches.
+    #[must_use]
+    pub fn of(unknowns: &[Unknown]) -> Self {
+        let mut out = Self::NONE;
+        for unknown in unknowns {
+            out.estimated[*unknown as usize] = true;
+        }
+        out
+    }
+
+    /// Returns the others of these unknowns.
+    #[must_use]
+    pub fn without(mut self, unknown: Unknown) -> Self {
+        self.estimated[unknown as usize] = false;
+        self
+    }
+
+    /// Tells whether an unknown is estimated.
+    #[must_use]
+    pub fn has(&self, unknown: Unknown) -> bool {
+        self.estimated[unknown as usize]
+    }
+
+    /// Tells whether nothing is estimated besides the state.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.estimated == Self::NONE.estimated
+    }
 }
 
 /// Number of periods of the loop in which unknowns change by the parts that follow. A filter forgets by its number of measurements, as the
@@ -147,27 +148,11 @@ const MEMORY: f64 = 100.0;
 const WRENCH_CHANGE: f64 = 0.007;
 /// Distance between the seeds of two runs, more than a scene has sensors.
 const MOST_SENSORS: u64 = 1000;
-/// Prior standard deviation of an unknown wrench, as the deflection that it causes divided by the length. The expected sizes from here on
-/// say how wrong a model may be that is meant for an arm: a filter weighs its unknowns against each other by them. With half and with twice
+/// Prior standard deviation of an unknown wrench, as the deflection that it causes divided by the length; those of other unknowns stand
+/// in [their table](Unknown::TABLE). With half and with twice
 /// the value, the error of `mpc-track-circle` in its first 0.6 s changes by -1 and 2 %; that of `mpc-reach`, whose filter refuses signals
 /// there, by -14 and 19 %, and any of the sizes scatters it by as much.
 const EXPECTED_DEFLECTION: f64 = 0.05;
-/// Prior standard deviation of the factor on the stiffness: the range of the hundred drawn arms of `benches/mpc.md`, all of which are
-/// followed. With half of it, the first 0.6 s of `mpc-track-circle` have an error that is smaller by 0.6 %.
-const EXPECTED_STIFFNESS: f64 = 0.3;
-/// Prior standard deviation of the payload, divided by the mass of the arm: a third of the largest payload of these arms, half of that of
-/// the scene `mpc-payload`. With half and with twice the value, the error of `mpc-track-circle`, whose arm carries none, changes by -19 and
-/// 21 % in the first 0.6 s, while the filter finds that.
-const EXPECTED_PAYLOAD: f64 = 0.1;
-/// Prior standard deviation of the viscous damping times the time scale of the arm: a tenth of the critical damping `2 ω₁` of a
-/// cantilever's first mode. With half and with twice the value, the error of `mpc-track-circle` changes by 1 % in the first 0.6 s.
-const EXPECTED_DAMPING: f64 = 0.7;
-/// Prior standard deviation of the time of internal damping, divided by the time scale of the arm: a fiftieth of the critical damping
-/// `2/ω₁` of a cantilever's first mode.
-const EXPECTED_INTERNAL: f64 = 0.01;
-/// Prior standard deviation of the delay, divided by the time scale of the arm. With three times as much, the filter of a light arm that
-/// starts with a step of the force mistakes a payload for a delay and diverges (decision 79).
-const EXPECTED_DELAY: f64 = 0.003;
 /// Standard deviation of the change of a parameter within [`MEMORY`] periods, divided by its prior standard deviation; measured (decision
 /// 75). A parameter that may change faster absorbs other errors of the model; for one that may change more slowly, the filter's standard deviation
 /// is too small.
@@ -194,29 +179,16 @@ impl Unknowns {
         Ok(Box::new(KalmanFilter::new(model, 0.0, start, &settings)?))
     }
 
-    /// Returns the names, as in scenes, of the quantities that are not estimated.
+    /// Returns the unknowns that are not estimated.
     #[must_use]
-    pub fn missing(&self) -> Vec<&'static str> {
-        let all = [
-            ("tip_force", self.tip_force),
-            ("tip_moment", self.tip_moment),
-            ("distributed", self.distributed),
-            ("stiffness", self.stiffness),
-            ("payload", self.payload),
-            ("viscous", self.viscous),
-            ("internal", self.internal),
-            ("delay", self.delay),
-        ];
-        (all.into_iter())
-            .filter_map(|(name, is_there)| (!is_there).then_some(name))
-            .collect()
+    pub fn missing(&self) -> Vec<Unknown> {
+        Unknown::all().filter(|own| !self.has(*own)).collect()
     }
 
     /// Returns the standard deviation of the deflection by unknown forces within [`MEMORY`] periods, divided by the length. If no other unknown is
     /// estimated, these forces must also explain a wrong model.
     fn unknown_forces(self) -> f64 {
-        let estimates_state_alone = self.missing().len() == Self::NONE.missing().len();
-        if estimates_state_alone {
+        if self.is_empty() {
             EXPECTED_DEFLECTION
         } else {
             UNKNOWN_FORCES
@@ -227,39 +199,30 @@ impl Unknowns {
     #[must_use]
     pub fn settings(self, model: &Rod, period: f64) -> KalmanSettings {
         let length = model.scales.length;
-        let bending = weakest_bending(model);
-        let beam = Beam::of(model);
         let memory = MEMORY * period;
         let wrench_change = self
             .wrench_change
             .map_or(WRENCH_CHANGE, |rate| rate * memory);
         // Of a random walk within one second that is as large as given within the memory.
         let within_a_second = memory.sqrt().recip();
-        let walk = |is_unknown: bool, size: f64| {
-            is_unknown.then_some(RandomWalk {
-                initial: EXPECTED_DEFLECTION * size,
-                change: wrench_change * within_a_second * size,
-            })
-        };
-        let parameter = |is_unknown: bool, size: f64| {
-            is_unknown.then_some(RandomWalk {
-                initial: size,
-                change: PARAMETER_WALK * within_a_second * size,
-            })
+        let walk = |unknown: Unknown| {
+            let row = unknown.row();
+            let size = (row.size)(model);
+            let (initial, change) = if row.is_load() {
+                (EXPECTED_DEFLECTION * size, wrench_change)
+            } else {
+                (size, PARAMETER_WALK)
+            };
+            RandomWalk {
+                initial,
+                change: change * within_a_second * size,
+            }
         };
         KalmanSettings {
             change: self.unknown_forces() * within_a_second * length,
-            tip_force: walk(
-                self.tip_force,
-                beam.by_force[0] * bending / (length * length),
-            ),
-            tip_moment: walk(self.tip_moment, beam.by_moment[0] * bending / length),
-            distributed: walk(self.distributed, beam.by_line * bending / length.powi(3)),
-            stiffness: parameter(self.stiffness, EXPECTED_STIFFNESS),
-            payload: parameter(self.payload, EXPECTED_PAYLOAD * model.mass()),
-            viscous: parameter(self.viscous, EXPECTED_DAMPING / model.scales.time),
-            internal: parameter(self.internal, EXPECTED_INTERNAL * model.scales.time),
-            delay: parameter(self.delay, EXPECTED_DELAY * model.scales.time),
+            walks: std::array::from_fn(|i| {
+                self.estimated[i].then(|| walk(Unknown::TABLE[i].unknown))
+            }),
             refuses: true,
             model_error: true,
             ..KalmanSettings::of(model)
@@ -336,10 +299,14 @@ impl Experiment {
     /// Returns the names, as in scenes, of the quantities that a Kalman filter could estimate and does not; empty without one.
     #[must_use]
     pub fn missing_unknowns(&self) -> Vec<&'static str> {
-        match &self.sensing {
-            Sensing::Estimated { unknowns, .. } => unknowns.missing(),
-            Sensing::Everything => Vec::new(),
-        }
+        let Sensing::Estimated { unknowns, .. } = &self.sensing else {
+            return Vec::new();
+        };
+        let rubs = self.arm.actuators.iter().any(|own| own.friction.is_some());
+        (unknowns.missing().into_iter())
+            .filter(|own| own.row().needs != Needs::Friction || rubs)
+            .map(|own| own.row().key)
+            .collect()
     }
 
     /// Returns a loop with the true state of a plant that is the model, as a base for changes.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::fallback::{Action, Cause};
 use crate::command::Command;
 use crate::controller::SampleRecord;
-use crate::estimator::{Disturbance, Innovation};
+use crate::estimator::{Disturbance, Innovation, Unknown};
 use crate::subproblem::SubproblemEnd;
 use mechanics::{Rod, Wrench};
 
@@ -110,8 +110,8 @@ impl Sample {
     pub fn lift(&self, rod: &Rod) -> Option<String> {
         let down = rod.gravity.try_normalize(0.0)?;
         let weight = rod.mass() * rod.gravity.norm() / rod.scales.length;
-        let lift = -down.dot(&self.disturbance.distributed);
-        let deviation = down.abs().dot(&self.deviation.distributed);
+        let lift = -down.dot(&self.disturbance.vector(Unknown::Distributed));
+        let deviation = (down.abs()).dot(&self.deviation.vector(Unknown::Distributed));
         (lift > LARGE_LIFT * weight && lift > CERTAIN_LIFT * deviation).then(|| {
             format!(
                 "the estimate has a force of {lift:.3} N/m against gravity all along the arm, {:.0} % of its weight: if nothing lifts it, it is lighter \

@@ -4,7 +4,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Controller;
 use crate::error::MpcError;
-use crate::estimator::Disturbance;
+use crate::estimator::{Disturbance, Unknown};
+use mechanics::Wrench;
 
 /// Checks that rows of a path have finite, increasing times and finite values.
 fn check_rows<T>(rows: &[(f64, T)], is_finite: impl Fn(&T) -> bool) -> Result<(), MpcError> {
@@ -32,60 +33,16 @@ impl Controller {
     /// Returns [`MpcError::Setting`] for a number that is not finite, a factor on the stiffness or a mass of the tip that is not positive,
     /// and a negative damping; the model is then unchanged.
     pub fn disturb(&mut self, disturbance: &Disturbance) -> Result<(), MpcError> {
-        let stiffness = disturbance.stiffness;
-        if !(stiffness.is_finite() && stiffness > 0.0) {
-            return Err(MpcError::Setting {
-                name: "disturbance.stiffness",
-                value: stiffness,
-                expected: "a positive number",
-            });
-        }
         let model = self.horizon.model();
-        let lightest = -model.nodes[model.tip()].mass;
-        let payload = disturbance.payload;
-        if !(payload.is_finite() && payload > lightest) {
-            return Err(MpcError::Setting {
-                name: "disturbance.payload",
-                value: payload,
-                expected: "a finite mass that leaves the tip with some",
-            });
-        }
-        let viscous = disturbance.viscous;
-        if !(viscous.is_finite() && viscous >= -model.viscous_damping) {
-            return Err(MpcError::Setting {
-                name: "disturbance.viscous",
-                value: viscous,
-                expected: "a finite number that leaves no negative damping",
-            });
-        }
-        let internal = disturbance.internal;
-        if !(internal.is_finite() && internal >= -model.internal_damping) {
-            return Err(MpcError::Setting {
-                name: "disturbance.internal",
-                value: internal,
-                expected: "a finite number that leaves no negative damping",
-            });
-        }
-        if !disturbance.delay.is_finite() {
-            return Err(MpcError::Setting {
-                name: "disturbance.delay",
-                value: disturbance.delay,
-                expected: "a finite number",
-            });
-        }
-        let weight = model.gravity * payload;
-        let tip = &disturbance.tip;
-        let numbers = (tip.force.iter().chain(&tip.moment)).chain(&disturbance.distributed);
-        if let Some(value) = numbers.copied().find(|value| !value.is_finite()) {
-            return Err(MpcError::Setting {
-                name: "disturbance",
-                value,
-                expected: "a finite number",
-            });
-        }
+        disturbance.check_exists(model)?;
+        let weight = model.gravity * disturbance.value(Unknown::Payload);
+        let tip = Wrench {
+            force: disturbance.vector(Unknown::TipForce),
+            moment: disturbance.vector(Unknown::TipMoment),
+        };
         self.horizon.disturb(disturbance);
-        self.stiffness = stiffness;
-        self.disturbing = *tip;
+        self.stiffness = disturbance.value(Unknown::Stiffness);
+        self.disturbing = tip;
         self.disturbing.force += weight;
         let rod_tip = self.horizon.problem.rod.tip();
         for ((free, component), scale) in

@@ -16,7 +16,7 @@ use control::OptimalControlProblem;
 use mechanics::Wrench;
 use mechanics::linearization::StateTangent;
 use stop::StopSignal;
-use task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
+use task::{Arm, Discretization, DiscretizeError, Rest, Task, Track, allow_slack, taut_limit};
 
 /// Factor on the weight of a held target, relative to a followed path: a default of the target, which a track of the scene's own with
 /// another `objective.track.weight` replaces (decision 71). A buckled arm has several equilibria; effort is measured from one of them, and
@@ -177,6 +177,7 @@ impl OneHorizon {
             period_and_horizon(chosen.grid.step, chosen.rod.scheme, settings);
         cut.step = Some(in_horizon.step);
         let mut problem = task.discretize_until(arm, &cut, stop)?.discrete;
+        keep_taut(&mut problem, task.keeps_taut);
         for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
             if held.rotations.is_empty() && held.directions.is_empty() {
                 held.weight *= HELD_NEARER;
@@ -203,6 +204,18 @@ impl OneHorizon {
             weights[1] = weights[0] * (BLOCKS_A_CHANGE * self.settings.block).powi(2);
         }
         weights
+    }
+}
+
+/// Gives a plan the limit that keeps tendons of winches taut, by any scheme, or none.
+fn keep_taut(problem: &mut OptimalControlProblem, keeps: bool) {
+    (problem.path).retain(|path| !path.limit.depends_on_inputs());
+    if keeps {
+        let limit = taut_limit(problem);
+        problem.path.extend(limit);
+        if let Some(stay) = problem.stay.clone() {
+            allow_slack(problem, &stay);
+        }
     }
 }
 

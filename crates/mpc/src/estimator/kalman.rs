@@ -23,17 +23,19 @@ use super::comparison::Comparison;
 use super::covariance::Covariance;
 use super::gate::Gate;
 use super::node_frames::{NodeFrames, leave_free_motions};
-use super::parameter::N_PARAMETERS;
 use super::prediction::{Predictor, Steps};
 use super::readings::{self, Layout};
 use super::slow::SlowPart;
+use super::unknown::{Effect, Unknown};
 use super::unknown_forces::UnknownForces;
-use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation, Parameter};
+use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation};
 use super::{check_start, check_time};
 
 /// Change of a parameter, in its unit, in central differences of two motions. Their relative error is the square of it, 1e-8, and rounding
 /// adds 1e-12 of a motion that repeats its initial errors.
 const PARAMETER_CHANGE: f64 = 1e-4;
+/// Number of passes over the ranges of the parameters. Each meets one bound exactly and moves the others by their correlation with it.
+const RANGE_PASSES: usize = 5;
 /// Cap on the linearizations of a measurement, which the plant waits for.
 const MOST_ITERATIONS: usize = 10;
 /// Largest difference of an innovation from its linearization, in standard deviations of the noise, at which iterations end: it then adds
@@ -55,7 +57,7 @@ const MOST_STEPS: usize = 15;
 /// measurement differs from its linearization is repeated from there (the iterated filter, a Gauss-Newton method for the most likely state;
 /// Bell and Cathey 1993), so that the arm is found from far as well.
 ///
-/// The error is propagated by the exact linearization of the integrator's own steps, and along stiffness, payload, damping and delay by
+/// The error is propagated by the exact linearization of the integrator's own steps, and along the parameters of the model and of its commands by
 /// differences of two motions, of which the slow part is kept: the effect of a wrong parameter on modes up to the fifth bending mode. Every
 /// disturbance is a random walk. A standard deviation of 0 is replaced by 1e-6 of the arm's own scales.
 ///
@@ -118,13 +120,7 @@ impl KalmanFilter {
     ) -> Result<Self, MpcError> {
         settings.check()?;
         check_start(model, time, state)?;
-        settings.check_tip(model)?;
-        let mut parameters = settings.parameter_walks().map(|walk| walk.is_some());
-        for (is_there, parameter) in parameters.iter_mut().zip(Parameter::ALL) {
-            *is_there &= parameter.applies(model);
-        }
-        let wrenches = settings.wrench_walks().map(|walk| walk.is_some());
-        let layout = Layout::new(model, wrenches, parameters);
+        let layout = Layout::new(model, settings.present(model)?);
         let n_nodes = model.n_nodes();
         let mut trajectory = Trajectory::with_capacity(n_nodes, MOST_STEPS + 1);
         for _ in 0..2 {
@@ -177,8 +173,8 @@ impl KalmanFilter {
         Ok(filter)
     }
 
-    /// Returns the covariance of the error: of `(δx, ζ, δp, δπ)` of every free node, node by node, then of the estimated disturbances: tip
-    /// force, tip moment, distributed force, stiffness, payload, viscous damping, internal damping, delay.
+    /// Returns the covariance of the error: of `(δx, ζ, δp, δπ)` of every free node, node by node, then of the components of the
+    /// unknowns that are estimated, in the order of [`Unknown::TABLE`].
     #[must_use]
     pub fn covariance(&self) -> &Mat<f64> {
         &self.covariance.matrix
@@ -269,10 +265,8 @@ impl KalmanFilter {
         let energy = energy(self.predictor.model(), self.settings.change) * duration;
         let covariance = self.covariance.next_mut();
         (self.unknown_forces).add(energy, &self.next.configuration, covariance);
-        for i in self.layout.n_state..self.layout.n {
-            if let Some(walk) = walk_of(&self.settings, &self.layout, i) {
-                covariance[(i, i)] += walk.change * walk.change * duration;
-            }
+        for (i, walk) in walks(&self.settings, &self.layout) {
+            covariance[(i, i)] += walk.change * walk.change * duration;
         }
     }
 
@@ -280,20 +274,21 @@ impl KalmanFilter {
     /// motions have the same velocity `v` of the tip, whose momentum is `p = m v`: with `A` the derivative of the end along the start, the
     /// column is `B = S(dz/dm - v' e_p) + v' e_p - A v e_p`, with `v'` the velocity at the end.
     fn derive_parameters(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
-        for parameter in Parameter::ALL {
-            let Some(at) = self.layout.parameter(parameter) else {
+        for (unknown, at) in self.layout.unknowns() {
+            let row = unknown.row();
+            if row.is_load() {
                 continue;
-            };
+            }
             let column = at - self.layout.n_state;
             let Estimate {
                 state, disturbance, ..
             } = &self.estimate;
             let [along_state, along_disturbance] = &mut self.transition;
             let out = along_disturbance.col_as_slice_mut(column);
-            let change = PARAMETER_CHANGE * parameter.unit(self.predictor.model());
+            let change = PARAMETER_CHANGE * (row.scale)(self.predictor.model());
             let tip = self.predictor.model().tip();
             // A mass is estimated at the known velocity, not at the known momentum, which is larger for a heavier tip (decision 78).
-            let velocities = (parameter == Parameter::Payload).then(|| {
+            let velocities = (unknown == Unknown::Payload).then(|| {
                 let mass = self.predictor.changed(disturbance).nodes[tip].mass;
                 [&*state, &self.next].map(|state| state.linear_momentum[tip] / mass)
             });
@@ -301,9 +296,9 @@ impl KalmanFilter {
             start.clone_from(state);
             for sign in [-1.0, 1.0] {
                 let mut moved = *disturbance;
-                *parameter.of_mut(&mut moved) += sign * change;
+                moved.of_mut(unknown)[0] += sign * change;
                 let mut command = command;
-                if parameter == Parameter::Delay {
+                if matches!(row.effect, Effect::Commands) {
                     command = self.acting.later(steps.start, sign * change);
                 }
                 if let Some([velocity, _]) = velocities {
@@ -366,28 +361,10 @@ impl KalmanFilter {
         for (mean, value) in mean.iter_mut().zip(tangent.components_from(first)) {
             *mean = value;
         }
-        let differences = [
-            (
-                self.layout.tip_force,
-                there.disturbance.tip.force - here.disturbance.tip.force,
-            ),
-            (
-                self.layout.tip_moment,
-                there.disturbance.tip.moment - here.disturbance.tip.moment,
-            ),
-            (
-                self.layout.distributed,
-                there.disturbance.distributed - here.disturbance.distributed,
-            ),
-        ];
-        for (at, value) in differences {
-            if let Some(at) = at {
-                mean[at..at + 3].copy_from_slice(value.as_slice());
-            }
-        }
-        for parameter in Parameter::ALL {
-            if let Some(at) = self.layout.parameter(parameter) {
-                mean[at] = parameter.of(&there.disturbance) - parameter.of(&here.disturbance);
+        for (unknown, at) in self.layout.unknowns() {
+            let [there, here] = [there, here].map(|own| own.disturbance.of(unknown));
+            for ((mean, there), here) in mean[at..].iter_mut().zip(there).zip(here) {
+                *mean = there - here;
             }
         }
         if let Some(transport) = &mut self.transport {
@@ -401,13 +378,14 @@ impl KalmanFilter {
     /// errors unchanged, and bias them at every measurement.
     fn stay_in_range(&mut self) {
         let model = self.predictor.model();
-        for _ in 0..N_PARAMETERS {
-            for parameter in Parameter::ALL {
-                let Some(at) = self.layout.parameter(parameter) else {
+        for _ in 0..RANGE_PASSES {
+            for (unknown, at) in self.layout.unknowns() {
+                let row = unknown.row();
+                if row.is_load() {
                     continue;
-                };
-                let [least, most] = parameter.range(model);
-                let own = parameter.of(&self.point.disturbance);
+                }
+                let [least, most] = (row.range)(model);
+                let own = self.point.disturbance.value(unknown);
                 let found = own + self.covariance.correction[at];
                 self.covariance.shift(at, found.clamp(least, most) - found);
             }
@@ -466,21 +444,11 @@ impl KalmanFilter {
         // Held nodes are not moved by rounding either.
         there.positions[..first].copy_from_slice(&here.positions[..first]);
         there.rotations[..first].copy_from_slice(&here.rotations[..first]);
-        let vectors = [
-            (self.layout.tip_force, &mut disturbance.tip.force),
-            (self.layout.tip_moment, &mut disturbance.tip.moment),
-            (self.layout.distributed, &mut disturbance.distributed),
-        ];
-        for (at, value) in vectors {
-            if let Some(at) = at {
-                *value += vector(correction, at);
-            }
-        }
-        for parameter in Parameter::ALL {
-            if let Some(at) = self.layout.parameter(parameter) {
-                let [least, most] = parameter.range(self.predictor.model());
-                let value = parameter.of_mut(disturbance);
-                *value = (*value + correction[at]).clamp(least, most);
+        for (unknown, at) in self.layout.unknowns() {
+            let [least, most] = (unknown.row().range)(self.predictor.model());
+            let values = disturbance.of_mut(unknown).iter_mut();
+            for (value, change) in values.zip(&correction[at..]) {
+                *value = (*value + change).clamp(least, most);
             }
         }
         std::mem::swap(&mut self.point.state, &mut self.next);
@@ -501,18 +469,12 @@ impl KalmanFilter {
 
     /// Writes the standard deviations of the disturbances from the covariance.
     fn write_deviation(&mut self) {
-        let sigma = |at: usize| self.covariance.matrix[(at, at)].max(0.0).sqrt();
-        let vector = |at: Option<usize>| {
-            at.map_or_else(Vector3::zeros, |at| {
-                Vector3::from_fn(|axis, _| sigma(at + axis))
-            })
-        };
         let deviation = &mut self.estimate.deviation;
-        deviation.tip.force = vector(self.layout.tip_force);
-        deviation.tip.moment = vector(self.layout.tip_moment);
-        deviation.distributed = vector(self.layout.distributed);
-        for parameter in Parameter::ALL {
-            *parameter.of_mut(deviation) = self.layout.parameter(parameter).map_or(0.0, sigma);
+        *deviation = Disturbance::ZERO;
+        for (unknown, at) in self.layout.unknowns() {
+            for (i, out) in deviation.of_mut(unknown).iter_mut().enumerate() {
+                *out = self.covariance.matrix[(at + i, at + i)].max(0.0).sqrt();
+            }
         }
     }
 }
@@ -520,7 +482,7 @@ impl KalmanFilter {
 impl Estimator for KalmanFilter {
     fn advance(&mut self, command: &Command, until: f64) -> Result<(), EstimateError> {
         self.predictor.check(command)?;
-        if self.layout.parameter(Parameter::Delay).is_some() {
+        if self.layout.start(Unknown::Delay).is_some() {
             self.acting.take(command);
         }
         let Some(steps) = self.predictor.steps(self.estimate.time, until)? else {
@@ -614,10 +576,8 @@ impl Estimator for KalmanFilter {
                 matrix[(i, j)] = energy * shape[(i, j)];
             }
         }
-        for i in n_state..self.layout.n {
-            if let Some(walk) = walk_of(&self.settings, &self.layout, i) {
-                matrix[(i, i)] = walk.initial * walk.initial;
-            }
+        for (i, walk) in walks(&self.settings, &self.layout) {
+            matrix[(i, i)] = walk.initial * walk.initial;
         }
         self.write_deviation();
         Ok(())
@@ -636,22 +596,11 @@ fn motion<'a>(rod: &'a Rod, grid: TimeGrid, initial: &'a State) -> Motion<'a> {
 
 /// Calls `visit` with disturbance, node, component and weight for all effects of wrenches of unit size.
 fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
-    let tip = rod.tip();
-    for (at, part) in [(layout.tip_force, 0), (layout.tip_moment, 3)] {
-        if let Some(at) = at {
-            for axis in 0..3 {
-                visit(at - layout.n_state + axis, tip, part + axis, 1.0);
-            }
-        }
-    }
-    if let Some(at) = layout.distributed {
-        for (q, element) in rod.elements.iter().enumerate() {
-            for node in [q, q + 1] {
-                for axis in 0..3 {
-                    let share = 0.5 * element.length;
-                    visit(at - layout.n_state + axis, node, axis, share);
-                }
-            }
+    for (unknown, at) in layout.unknowns() {
+        if let Effect::Loads(places) = unknown.row().effect {
+            places(rod, &mut |component, node, axis, share| {
+                visit(at - layout.n_state + component, node, axis, share);
+            });
         }
     }
 }
@@ -672,12 +621,14 @@ fn equal_energies(rod: &Rod, shape: &Configuration, layout: &Layout) -> Option<M
     covariance.norm_max().is_finite().then_some(covariance)
 }
 
-/// Returns the random walk of a component of the error, if it belongs to a disturbance.
-fn walk_of(settings: &KalmanSettings, layout: &Layout, i: usize) -> Option<RandomWalk> {
-    let wrenches = [layout.tip_force, layout.tip_moment, layout.distributed].map(|at| (at, 3));
-    let starts = (wrenches.into_iter()).chain(layout.parameters.map(|at| (at, 1)));
-    let walks = (settings.wrench_walks().into_iter()).chain(settings.parameter_walks());
-    (starts.zip(walks))
-        .find(|((at, size), _)| at.is_some_and(|at| (at..at + size).contains(&i)))
-        .and_then(|(_, walk)| walk)
+/// Returns the components of the unknowns, each with its random walk.
+fn walks(
+    settings: &KalmanSettings,
+    layout: &Layout,
+) -> impl Iterator<Item = (usize, RandomWalk)> + use<> {
+    let walks = settings.walks;
+    layout.unknowns().flat_map(move |(unknown, at)| {
+        let walk = walks[unknown as usize];
+        (0..unknown.row().n()).filter_map(move |i| Some((at + i, walk?)))
+    })
 }

@@ -15,147 +15,36 @@
 //! estimator unchanged. If several sensors have different ages, early measurements must wait until nothing older can arrive; an [`Inbox`]
 //! does that. Measurements of the same time may be used one after the other.
 
-use nalgebra::Vector3;
-
 use super::command::Command;
 use super::error::{MpcError, state_fits};
 use super::signal::Measurement;
 use control::rounding_of;
-use mechanics::{Rod, State, StepError, Wrench};
+use mechanics::{Rod, State, StepError};
 
 pub(super) mod comparison;
 mod covariance;
+mod disturbance;
 pub mod gate;
 mod inbox;
 mod kalman;
 mod motions;
 mod node_frames;
-mod parameter;
 mod prediction;
 mod readings;
 mod regridded;
 mod slow;
+mod unknown;
 mod unknown_forces;
 
+pub use self::disturbance::Disturbance;
+pub(crate) use self::disturbance::ModelParameters;
 pub use self::inbox::Inbox;
 pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};
 pub(crate) use self::motions::Motions;
-pub(crate) use self::parameter::ModelParameters;
-use self::parameter::Parameter;
 pub use self::prediction::Predictor;
 pub(super) use self::readings::Reader;
 pub use self::regridded::Regridded;
-
-/// Loads on the arm and errors of its model, beyond those in the model.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Disturbance {
-    /// Wrench at the tip: force (spatial frame, N) and moment (body frame, N m).
-    pub tip: Wrench,
-    /// Force per rest length all along the arm, spatial frame, N/m.
-    pub distributed: Vector3<f64>,
-    /// Factor on the model's elastic moduli; 1 for those of the model.
-    pub stiffness: f64,
-    /// Mass at the tip beyond the model's, kg, with weight and inertia, without rotary inertia.
-    pub payload: f64,
-    /// Viscous damping beyond the model's, 1/s.
-    pub viscous: f64,
-    /// Time of the internal damping beyond the model's, s.
-    pub internal: f64,
-    /// Delay of commands beyond their known delay, s.
-    pub delay: f64,
-}
-
-impl Disturbance {
-    /// No disturbance: the arm equals its model.
-    pub const NONE: Self = Self {
-        tip: Wrench {
-            force: Vector3::new(0.0, 0.0, 0.0),
-            moment: Vector3::new(0.0, 0.0, 0.0),
-        },
-        distributed: Vector3::new(0.0, 0.0, 0.0),
-        stiffness: 1.0,
-        payload: 0.0,
-        viscous: 0.0,
-        internal: 0.0,
-        delay: 0.0,
-    };
-
-    /// Checks a disturbance of a model: that wrenches are finite, and parameters in the range of an estimator's, within which explicit steps
-    /// stay stable, the mass at the tip positive, and damping not negative.
-    ///
-    /// # Errors
-    /// Returns [`MpcError::Disturbance`] for the first number that does not hold.
-    pub fn check(&self, model: &Rod) -> Result<(), MpcError> {
-        let wrenches = [
-            ("tip_force_n", self.tip.force),
-            ("tip_moment_n_m", self.tip.moment),
-            ("distributed_n_m", self.distributed),
-        ];
-        for (name, value) in wrenches {
-            if !value.iter().all(|x| x.is_finite()) {
-                return Err(MpcError::Disturbance {
-                    name,
-                    found: format!("{:?}", value.as_slice()),
-                    expected: "three finite numbers".into(),
-                });
-            }
-        }
-        for parameter in Parameter::ALL {
-            let value = parameter.of(self);
-            let [least, most] = if parameter.applies(model) {
-                parameter.range(model)
-            } else {
-                [parameter.of(&Self::NONE); 2]
-            };
-            if !(least <= value && value <= most) {
-                let expected = if least < most {
-                    format!("a number from {least:.4e} to {most:.4e}")
-                } else {
-                    format!("{least}, because the model takes explicit steps")
-                };
-                return Err(MpcError::Disturbance {
-                    name: parameter.name(),
-                    found: value.to_string(),
-                    expected,
-                });
-            }
-        }
-        Ok(())
-    }
-
-    /// Adds the wrenches of the disturbance to `wrenches`, one for each node of the rod: the wrench at the tip, and the distributed force
-    /// on a node's halves of the elements beside it.
-    pub fn add_to(&self, rod: &Rod, wrenches: &mut [Wrench]) {
-        for (q, element) in rod.elements.iter().enumerate() {
-            let share = self.distributed * (0.5 * element.length);
-            wrenches[q].force += share;
-            wrenches[q + 1].force += share;
-        }
-        let tip = &mut wrenches[rod.tip()];
-        tip.force += self.tip.force;
-        tip.moment += self.tip.moment;
-    }
-
-    /// Writes to `rod`, a copy of `model`, the errors of the model: the factor on the stiffness, the payload and both kinds of damping.
-    pub fn change_model(&self, model: &Rod, rod: &mut Rod) {
-        rod.take_stiffness(model, self.stiffness);
-        let tip = model.tip();
-        rod.nodes[tip].mass = model.nodes[tip].mass + self.payload;
-        rod.viscous_damping = model.viscous_damping + self.viscous;
-        rod.internal_damping = model.internal_damping + self.internal;
-    }
-
-    /// Returns the values that [`change_model`](Self::change_model) uses: equal values give equal models.
-    pub(crate) fn parameters(&self) -> ModelParameters {
-        Parameter::OF_THE_MODEL.map(|parameter| parameter.of(self))
-    }
-}
-
-impl Default for Disturbance {
-    fn default() -> Self {
-        Self::NONE
-    }
-}
+pub use self::unknown::{N_COMPONENTS, N_UNKNOWNS, Needs, Unknown, UnknownRow};
 
 /// The estimate at one time.
 #[derive(Clone, Debug, PartialEq)]

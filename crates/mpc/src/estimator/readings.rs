@@ -14,8 +14,8 @@ use mechanics::place::{PoseSlopes, locate, pose};
 use mechanics::rotation::{exp, hat, log, log_tangent};
 use mechanics::{Rod, State};
 
-use super::parameter::N_PARAMETERS;
-use super::{Disturbance, Parameter};
+use super::Disturbance;
+use super::unknown::{N_UNKNOWNS, Unknown};
 
 /// First component of a node's positions, rotations, linear and angular momenta.
 const POSITION: usize = 0;
@@ -30,47 +30,40 @@ pub(super) struct Layout {
     pub first_free_node: usize,
     /// Number of components of the state.
     pub n_state: usize,
-    /// First component of each estimated disturbance.
-    pub tip_force: Option<usize>,
-    pub tip_moment: Option<usize>,
-    pub distributed: Option<usize>,
-    /// First component of each of [`Parameter::ALL`].
-    pub parameters: [Option<usize>; N_PARAMETERS],
+    /// First component of each unknown that is estimated.
+    starts: [Option<usize>; N_UNKNOWNS],
     /// Number of all components.
     pub n: usize,
 }
 
 impl Layout {
-    /// Creates the layout with the marked disturbances: tip force, tip moment, distributed force, and [`Parameter::ALL`].
-    pub fn new(rod: &Rod, wrenches: [bool; 3], parameters: [bool; N_PARAMETERS]) -> Self {
+    /// Creates the layout with the marked unknowns.
+    pub fn new(rod: &Rod, is_present: [bool; N_UNKNOWNS]) -> Self {
         let first_free_node = rod.first_free_node();
         let n_state = NODE_COMPONENTS * (rod.n_nodes() - first_free_node);
         let mut n = n_state;
-        let mut place = |is_there: bool, size: usize| {
-            is_there.then(|| {
-                n += size;
-                n - size
-            })
-        };
-        let [tip_force, tip_moment, distributed] = wrenches;
-        let tip_force = place(tip_force, 3);
-        let tip_moment = place(tip_moment, 3);
-        let distributed = place(distributed, 3);
-        let parameters = parameters.map(|is_there| place(is_there, 1));
+        let mut starts = [None; N_UNKNOWNS];
+        for unknown in Unknown::all().filter(|own| is_present[*own as usize]) {
+            starts[unknown as usize] = Some(n);
+            n += unknown.row().n();
+        }
         Self {
             first_free_node,
             n_state,
-            tip_force,
-            tip_moment,
-            distributed,
-            parameters,
+            starts,
             n,
         }
     }
 
-    /// Returns the component of a parameter, if it is estimated.
-    pub fn parameter(&self, parameter: Parameter) -> Option<usize> {
-        self.parameters[parameter as usize]
+    /// Returns the first component of an unknown, if it is estimated.
+    pub fn start(&self, unknown: Unknown) -> Option<usize> {
+        self.starts[unknown as usize]
+    }
+
+    /// Returns the unknowns that are estimated, with their first components.
+    pub fn unknowns(&self) -> impl Iterator<Item = (Unknown, usize)> + use<> {
+        let starts = self.starts;
+        Unknown::all().filter_map(move |unknown| Some((unknown, starts[unknown as usize]?)))
     }
 
     /// Returns the number of components of disturbances.
@@ -149,7 +142,8 @@ impl Reader {
             }
             Quantity::BaseForce => {
                 let [force, _] = BaseElement::at(rod, state).gradient();
-                let share = disturbance.distributed * (0.5 * rod.elements[0].length);
+                let share =
+                    disturbance.vector(Unknown::Distributed) * (0.5 * rod.elements[0].length);
                 let loads: Vector3<f64> = (rod.loads.iter().filter(|load| load.node == 0))
                     .map(|load| load.wrench(t, &at.rotations[0]).force)
                     .sum();
@@ -271,7 +265,7 @@ impl Derivative<'_> {
             let per_momentum = weight / rod.nodes[node].mass;
             self.add(node, LINEAR, &Matrix3::from_diagonal_element(per_momentum));
         }
-        let payload = self.layout.parameter(Parameter::Payload);
+        let payload = self.layout.start(Unknown::Payload);
         let tip = ends.into_iter().find(|(node, _)| *node == rod.tip());
         if let (Some(at), Some((node, weight))) = (payload, tip) {
             let mass = rod.nodes[node].mass;
@@ -320,15 +314,16 @@ impl Derivative<'_> {
         let element = BaseElement::at(rod, self.state);
         self.base_along_state(&element, is_force);
         let part = |[force, moment]: [Vector3<f64>; 2]| if is_force { force } else { -moment };
-        if let Some(at) = layout.parameter(Parameter::Stiffness) {
+        if let Some(at) = layout.start(Unknown::Stiffness) {
             let own = part(element.gradient());
-            self.terms.push((at, own / disturbance.stiffness));
+            self.terms
+                .push((at, own / disturbance.value(Unknown::Stiffness)));
         }
-        if let Some(at) = layout.parameter(Parameter::Internal) {
+        if let Some(at) = layout.start(Unknown::Internal) {
             let own = part(element.per_damping_time(&rate_of(rod, self.state)));
             self.terms.push((at, own));
         }
-        if let (Some(at), true) = (layout.distributed, is_force) {
+        if let (Some(at), true) = (layout.start(Unknown::Distributed), is_force) {
             let share = 0.5 * rod.elements[0].length;
             (self.terms).extend((0..3).map(|i| (at + i, Vector3::ith(i, share))));
         }

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
 use super::SERVING_VERSION;
@@ -14,7 +14,7 @@ use crate::estimator::Disturbance;
 use crate::sensor::SensorSettings;
 use crate::signal::Quantity;
 use control::{ActuatedNode, Bound, Channel};
-use mechanics::{Drive, Wrench};
+use mechanics::Drive;
 
 /// Three numbers, and a rotation row by row.
 pub type Vector = [f64; 3];
@@ -53,7 +53,7 @@ pub struct Line {
     /// Rows of a time, s, and a quaternion.
     pub reference_wxyz: Option<Vec<[f64; 5]>>,
     pub obstacles: Option<Vec<ObstacleLine>>,
-    pub disturbance: Option<DisturbanceLine>,
+    pub disturbance: Option<Disturbance>,
 }
 
 /// The displacement of an obstacle at the time of the sample from its place in the scene.
@@ -346,7 +346,7 @@ pub struct CommandLine {
     pub predicted_tip_m: Option<Vector>,
     pub rotation_change: Option<f64>,
     pub skipped_samples: usize,
-    pub disturbance: Option<DisturbanceLine>,
+    pub disturbance: Option<Disturbance>,
     pub innovation: Option<InnovationLine>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub advice: Vec<String>,
@@ -390,57 +390,6 @@ pub struct TipLine {
     pub time_s: f64,
     pub position_m: Vector,
     pub reference_m: Option<Vector>,
-}
-
-/// A disturbance that is estimated, here or by the plant. A number that the plant leaves out is that of the model.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DisturbanceLine {
-    pub tip_force_n: Vector,
-    pub tip_moment_n_m: Vector,
-    pub distributed_n_m: Vector,
-    pub stiffness_factor: f64,
-    pub payload_kg: f64,
-    pub viscous_1_s: f64,
-    pub internal_s: f64,
-    pub delay_s: f64,
-}
-
-impl DisturbanceLine {
-    pub fn of(disturbance: &Disturbance) -> Self {
-        let array = |v: Vector3<f64>| v.into();
-        Self {
-            tip_force_n: array(disturbance.tip.force),
-            tip_moment_n_m: array(disturbance.tip.moment),
-            distributed_n_m: array(disturbance.distributed),
-            stiffness_factor: disturbance.stiffness,
-            payload_kg: disturbance.payload,
-            viscous_1_s: disturbance.viscous,
-            internal_s: disturbance.internal,
-            delay_s: disturbance.delay,
-        }
-    }
-
-    pub fn disturbance(&self) -> Disturbance {
-        Disturbance {
-            tip: Wrench {
-                force: self.tip_force_n.into(),
-                moment: self.tip_moment_n_m.into(),
-            },
-            distributed: self.distributed_n_m.into(),
-            stiffness: self.stiffness_factor,
-            payload: self.payload_kg,
-            viscous: self.viscous_1_s,
-            internal: self.internal_s,
-            delay: self.delay_s,
-        }
-    }
-}
-
-impl Default for DisturbanceLine {
-    fn default() -> Self {
-        Self::of(&Disturbance::NONE)
-    }
 }
 
 /// Durations on this machine, s.

@@ -25,9 +25,8 @@ use serde::Serialize;
 
 use self::intake::{Intake, MOST_READINGS, Refusal};
 use self::message::{
-    ActuatorLine, ControlLine, DisturbanceLine, EffortLimits, EffortLine, FallbackLine,
-    InnovationLine, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows,
-    version_message,
+    ActuatorLine, ControlLine, EffortLimits, EffortLine, FallbackLine, InnovationLine, Kind, Line,
+    NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows, version_message,
 };
 use super::closed_loop::{
     Cause, Driver, Experiment, Innovations, Known, Percentiles, Sample, TipError,
@@ -566,7 +565,7 @@ impl<P: Peer> Server<P> {
             }
         }
         if let Some(own) = &line.disturbance
-            && let Err(error) = self.driver.assume(&own.disturbance())
+            && let Err(error) = self.driver.assume(own)
         {
             let help = if self.driver.estimates() {
                 "leave it out, or give kind = \"none\" in [estimator] of the scene and the state of all nodes"
@@ -642,8 +641,7 @@ impl<P: Peer> Server<P> {
             cause: cause.to_string(),
             action: action.to_string(),
         });
-        let disturbance =
-            (responded.estimates()).then(|| DisturbanceLine::of(responded.disturbance()));
+        let disturbance = responded.estimates().then(|| *responded.disturbance());
         let predicted_tip_m = responded.predicted_tip().map(Into::into);
         let sample = responded.sample();
         let innovation = sample.innovation.map(|found| InnovationLine {

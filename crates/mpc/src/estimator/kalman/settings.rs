@@ -1,7 +1,7 @@
 //! Settings of the Kalman filter.
 
-use super::super::parameter::N_PARAMETERS;
 use super::super::setting;
+use super::super::unknown::{N_UNKNOWNS, Unknown};
 use crate::error::MpcError;
 use mechanics::Rod;
 use mechanics::stability::automatic_step;
@@ -15,7 +15,7 @@ pub struct RandomWalk {
     pub change: f64,
 }
 
-/// Settings of a [`KalmanFilter`](super::KalmanFilter). A disturbance that is `None` is not estimated.
+/// Settings of a [`KalmanFilter`](super::KalmanFilter).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalmanSettings {
     /// Uncertainty of the state at the start, as a standard deviation of the tip's position, m. Every mode of motion has the same energy,
@@ -25,24 +25,11 @@ pub struct KalmanSettings {
     /// time on the momenta, mostly smooth along the arm. A mode of frequency `ν` gains `3 EI/L³ σ² ((ω₁/ν)² + 0.1)`, with `ω₁` the
     /// frequency of the first bending mode.
     pub change: f64,
-    /// Force at the tip, N.
-    pub tip_force: Option<RandomWalk>,
-    /// Moment at the tip, N m.
-    pub tip_moment: Option<RandomWalk>,
-    /// Distributed force, N/m.
-    pub distributed: Option<RandomWalk>,
-    /// Factor on the elastic moduli. Estimates are limited to 0.1 to 1.6, where the explicit scheme with the automatic step is stable.
-    pub stiffness: Option<RandomWalk>,
-    /// Mass at the tip beyond the model's, kg. The payload is limited to between nothing and ten times the mass of the arm.
-    pub payload: Option<RandomWalk>,
-    /// Viscous damping beyond the model's, 1/s. The damping is limited to between none and 50 divided by the time scale of the arm, `L²
-    /// sqrt(ρA/EI)`.
-    pub viscous: Option<RandomWalk>,
-    /// Time of the internal damping beyond the model's, s; only for a model with implicit steps. The damping time is limited to between
-    /// zero and a tenth of the time scale of the arm.
-    pub internal: Option<RandomWalk>,
-    /// Delay of commands beyond their known delay, s. It is limited to a tenth of the time scale of the arm.
-    pub delay: Option<RandomWalk>,
+    /// Random walks of the unknowns, in the order of [`Unknown::TABLE`] and in their units; `None` for one that is not estimated. Estimates
+    /// are limited to the ranges of the table: factors on the stiffness of 0.1 to 1.6, where the explicit scheme with the automatic step is
+    /// stable; a payload between nothing and ten times the mass of the arm; viscous damping between none and 50 divided by the time scale of
+    /// the arm, `L² sqrt(ρA/EI)`; internal damping between none and a tenth of the time scale, and a delay to as much.
+    pub walks: [Option<RandomWalk>; N_UNKNOWNS],
     /// Tells whether impossible signals are refused: those whose squared innovation, normalized by the covariance that the filter expects,
     /// exceeds that of all but one in 10⁹ (chi-square, three degrees of freedom; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). If
     /// recent signals are all farther off than expected, by their median (Hampel 1974), the model is wrong, and the threshold is multiplied
@@ -63,51 +50,42 @@ impl KalmanSettings {
         Self {
             initial: INITIAL * model.scales.length,
             change: CHANGE * model.scales.length / model.scales.time.sqrt(),
-            tip_force: None,
-            tip_moment: None,
-            distributed: None,
-            stiffness: None,
-            payload: None,
-            viscous: None,
-            internal: None,
-            delay: None,
+            walks: [None; N_UNKNOWNS],
             refuses: false,
             model_error: false,
             longest_step: automatic_step(model),
         }
     }
 
-    /// Returns the random walks of tip force, tip moment and distributed force.
-    pub(super) fn wrench_walks(&self) -> [Option<RandomWalk>; 3] {
-        [self.tip_force, self.tip_moment, self.distributed]
+    /// Returns the settings with an unknown that is a random walk.
+    #[must_use]
+    pub fn with(mut self, unknown: Unknown, walk: RandomWalk) -> Self {
+        self.walks[unknown as usize] = Some(walk);
+        self
     }
 
-    /// Returns the random walks of [`Parameter::ALL`](crate::estimator::Parameter::ALL).
-    pub(super) fn parameter_walks(&self) -> [Option<RandomWalk>; N_PARAMETERS] {
-        [
-            self.stiffness,
-            self.payload,
-            self.viscous,
-            self.internal,
-            self.delay,
-        ]
+    /// Returns the random walk of an unknown; `None` if it is not estimated.
+    #[must_use]
+    pub fn walk(&self, unknown: Unknown) -> Option<RandomWalk> {
+        self.walks[unknown as usize]
     }
 
-    /// Refuses unknowns that change no motion because the tip is held.
-    pub(super) fn check_tip(&self, model: &Rod) -> Result<(), MpcError> {
-        let tip = model.joint(model.tip());
-        if tip.is_some() && (self.tip_force.is_some() || self.payload.is_some()) {
-            return Err(MpcError::Unsupported(
-                "neither a force nor a mass on a tip that is held moves the arm, so that no filter finds them; leave tip_force and payload out, \
-                 and take distributed for what pushes",
-            ));
+    /// Returns which unknowns have components in the filter of a model: those that are estimated and that the model has.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Unsupported`] for unknowns that change no motion because the tip is held.
+    pub(super) fn present(&self, model: &Rod) -> Result<[bool; N_UNKNOWNS], MpcError> {
+        let mut out = self.walks.map(|walk| walk.is_some());
+        for unknown in Unknown::all().filter(|own| self.walk(*own).is_some()) {
+            let needs = unknown.row().needs;
+            if !needs.met_by(model) {
+                if let Some(reason) = needs.refusal() {
+                    return Err(MpcError::Unsupported(reason));
+                }
+                out[unknown as usize] = false;
+            }
         }
-        if tip.is_some_and(|joint| !joint.turns()) && self.tip_moment.is_some() {
-            return Err(MpcError::Unsupported(
-                "no moment on a clamped or driven tip moves the arm, so that no filter finds it; leave tip_moment out",
-            ));
-        }
-        Ok(())
+        Ok(out)
     }
 
     pub(super) fn check(&self) -> Result<(), MpcError> {
@@ -118,21 +96,10 @@ impl KalmanSettings {
         positive("longest_step", self.longest_step)?;
         positive("initial", self.initial)?;
         at_least_zero("change", self.change)?;
-        let names = [
-            "tip_force",
-            "tip_moment",
-            "distributed",
-            "stiffness",
-            "payload",
-            "viscous",
-            "internal",
-            "delay",
-        ];
-        let walks = (self.wrench_walks().into_iter()).chain(self.parameter_walks());
-        for (name, walk) in names.into_iter().zip(walks) {
-            if let Some(walk) = walk {
-                at_least_zero(name, walk.initial)?;
-                at_least_zero(name, walk.change)?;
+        for unknown in Unknown::all() {
+            if let Some(walk) = self.walk(unknown) {
+                at_least_zero(unknown.row().key, walk.initial)?;
+                at_least_zero(unknown.row().key, walk.change)?;
             }
         }
         Ok(())
