@@ -50,7 +50,7 @@ use softarm::sqp::{
     self, LiftedProgram as _, LinearizationRequest, QpRoute, Softness, SqpSettings, SqpStatus,
     StopSignal,
 };
-use softarm::verify::{CheckError, ReplayKind, Solution};
+use softarm::verify::{CheckError, Claim, ReplayKind};
 
 #[derive(Parser)]
 struct Arguments {
@@ -876,7 +876,7 @@ fn certify(
 ) -> Result<(Vec<(&'static str, String)>, Option<f64>), CheckError> {
     let program = Transcription::new(&setup.problem, 1);
     let outcome = &attempt.outcome;
-    let check = setup.certify(&Solution {
+    let check = setup.certify(&Claim {
         trajectory: &outcome.point.trajectory,
         coefficients: &setup.problem.coefficients(&outcome.point.variables),
         multipliers: MultiplierRecord::of(&program, outcome).borrowed(),

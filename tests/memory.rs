@@ -10,7 +10,7 @@ use softarm::control::{Feedback, Guess, Search, Transcription, search};
 use softarm::memory::of_solve;
 use softarm::output::MultiplierRecord;
 use softarm::scene::Scene;
-use softarm::verify::Solution;
+use softarm::verify::Claim;
 use tool::SCENE;
 
 /// Environment variable that names the only problem of a process.
@@ -109,7 +109,7 @@ fn compare(name: &str, settings: [&str; 3]) {
     let outcome = &attempt.outcome;
     let coefficients = problem.coefficients(&outcome.point.variables);
     let multipliers = MultiplierRecord::of(&program, outcome);
-    let solution = Solution {
+    let solution = Claim {
         trajectory: &outcome.point.trajectory,
         coefficients: &coefficients,
         multipliers: multipliers.borrowed(),

@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use softarm::mechanics::curvature::Multipliers;
+use softarm::mechanics::curvature::MotionMultipliers;
 use softarm::mechanics::linearization::{AdjointSweep, Motion, RightHandSide};
 use softarm::mechanics::sensitivity::{ControlColumns, adjoint, defects, sensitivities};
 use softarm::mechanics::stability::stable_step;
@@ -248,7 +248,7 @@ impl<'a> SensitivityCase<'a> {
         };
         let d = defects(&motion, &self.trajectory, &ControlSignal::default());
         let sources = RightHandSide::against(&d.expect("a rod at rest"));
-        let multipliers = (question == Question::Curvature).then_some(Multipliers {
+        let multipliers = (question == Question::Curvature).then_some(MotionMultipliers {
             adjoint: &self.adjoint,
             own: &[],
         });

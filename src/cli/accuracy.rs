@@ -10,7 +10,7 @@ use crate::mechanics::StepError;
 use crate::output::summary::AccuracySummary;
 use crate::scene::{Scene, SceneSource};
 use crate::stop::StopSignal;
-use crate::tradeoff::{ChoiceError, Motion, RunError, choose_telling};
+use crate::tradeoff::{ChoiceError, ComparedMotion, RunError, choose_telling};
 
 /// Returns the scene with elements and a step in the place of its accuracy, if it has one, and the report of the search.
 pub(super) fn of_simulation(
@@ -23,7 +23,7 @@ pub(super) fn of_simulation(
         return Ok((scene, None));
     };
     let clock = Instant::now();
-    let motion = Motion::of_scene(&scene, source)?;
+    let motion = ComparedMotion::of_scene(&scene, source)?;
     if !(motion.duration > 0.0) {
         let elements = scene.discretization();
         return Ok((scene.with_grid(&elements), None));

@@ -19,7 +19,7 @@ use crate::tradeoff::page::{
     Journal, TradeoffSummary, journal_in, page, picture, sentence, write_points,
 };
 use crate::tradeoff::{
-    Fate, News, Point, Reference, RunError, Setting, Subject, Sweep, SweepError, Tradeoff,
+    Fate, News, Point, RunError, Setting, Subject, Sweep, SweepError, SweepReference, Tradeoff,
 };
 
 #[derive(Debug, Args)]
@@ -337,7 +337,7 @@ impl Applied {
 #[derive(Default)]
 struct Earlier {
     points: Vec<Point>,
-    reference: Option<Reference>,
+    reference: Option<SweepReference>,
 }
 
 impl Earlier {
@@ -389,7 +389,7 @@ impl Earlier {
             serde_json::from_str(&text).map_err(|_| refuse("summary.json is not one"))?;
         let saved = summary["points"].as_array().cloned().unwrap_or_default();
         let points = believed(saved, "summary.json: points", console);
-        let reference = serde_json::from_value::<Reference>(summary["reference"].take()).ok();
+        let reference = serde_json::from_value::<SweepReference>(summary["reference"].take()).ok();
         Ok(Self {
             points,
             reference: reference.filter(|reference| reference.fault().is_none()),

@@ -43,7 +43,7 @@ const FINEST: usize = 6;
 pub type Groups = Vec<Vec<f64>>;
 
 /// The values of groups of quantities along a curve, as a function of the distance from its start; `None` where the model has no meaning.
-pub type Curve<'a> = dyn FnMut(f64) -> Option<Groups> + 'a;
+pub(crate) type Curve<'a> = dyn FnMut(f64) -> Option<Groups> + 'a;
 
 /// The distance between an analytic derivative and the best differences, relative to the largest entry of its group.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

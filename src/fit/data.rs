@@ -52,7 +52,7 @@ pub struct Marker {
 /// Poses of markers in a shape at rest.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Shape {
+pub(crate) struct Shape {
     /// Name in the result; the number of the shape, if there is none.
     pub name: Option<String>,
     /// Values of the scene when it was measured, as `KEY=VALUE`.
@@ -143,7 +143,7 @@ fn one() -> f64 {
 /// A key that is fitted.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Free {
+pub(crate) struct Free {
     /// Dotted path of a number of the scene, or of a marker, as `marker.tip.offset_m.2`; with `times` or `plus` the name of a number.
     pub key: String,
     /// Dotted paths of numbers to which it is added, in every case those that the case has.
@@ -166,7 +166,7 @@ pub struct Free {
 
 /// The commands of a table of shapes at rest.
 #[derive(Clone, Debug, Default)]
-pub struct Rows {
+pub(crate) struct Rows {
     /// Keys of the scene that its rows set.
     pub keys: Vec<String>,
     /// Values of these keys in every row, row by row.
@@ -191,7 +191,7 @@ impl Rows {
 
 /// The motion in which an arm was measured.
 #[derive(Clone, Debug)]
-pub enum Kind {
+pub(crate) enum Kind {
     /// None: a shape at rest.
     Shape,
     /// A motion from the start of the scene on.

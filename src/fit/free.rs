@@ -5,7 +5,7 @@ use super::{FitError, FitOptions};
 use crate::scene::number;
 
 /// A number that is fitted.
-pub struct Free {
+pub(crate) struct Free {
     pub key: String,
     /// Paths of the numbers that it multiplies.
     pub times: Vec<String>,

@@ -38,7 +38,7 @@ pub type Residuals<E> = Vec<Result<DVector<f64>, E>>;
 pub type Derivatives<'a, E> = &'a dyn Fn(&[f64], &DVector<f64>) -> Result<DMatrix<f64>, E>;
 
 /// A problem of least squares in parameters of about one.
-pub struct Problem<'a, E> {
+pub(crate) struct Problem<'a, E> {
     /// Computes the residuals of several points at once.
     pub residuals: &'a dyn Fn(&[Vec<f64>]) -> Residuals<E>,
     /// Bounds of the parameters.
@@ -200,7 +200,7 @@ impl<E> Problem<'_, E> {
 
 /// Points beside one: two for every parameter, ahead and behind, within its bounds.
 #[derive(Clone, Debug)]
-pub struct Beside {
+pub(crate) struct Beside {
     pub points: Vec<Vec<f64>>,
     /// Distance to the point ahead and to the one behind, of every parameter.
     pub widths: Vec<[f64; 2]>,

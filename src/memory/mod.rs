@@ -82,9 +82,9 @@ const OUTPUT: Remedy = (
 
 /// Peak memory in bytes, without the program itself: the largest part first.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Estimate(Vec<(Remedy, f64)>);
+pub struct MemoryEstimate(Vec<(Remedy, f64)>);
 
-impl Estimate {
+impl MemoryEstimate {
     fn of(parts: impl IntoIterator<Item = (Remedy, f64)>) -> Self {
         let mut parts: Vec<_> = parts.into_iter().filter(|part| part.1 > 0.0).collect();
         parts.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -135,7 +135,7 @@ pub fn in_words(bytes: f64) -> String {
 
 /// Estimates the memory of a forward simulation, whose rows go to files as they are computed; a report keeps some of them.
 #[must_use]
-pub fn of_simulation(setup: &Simulation) -> Estimate {
+pub fn of_simulation(setup: &Simulation) -> MemoryEstimate {
     let nodes = setup.rod.n_nodes();
     let mut row = row_bytes(&MotionRecord::empty(nodes).arrays());
     if setup.diagnostics {
@@ -145,7 +145,7 @@ pub fn of_simulation(setup: &Simulation) -> Estimate {
         .n_rows(setup.grid.n_steps)
         .min(ThinnedMotion::MOST_ROWS);
     let rows = row as f64 * kept as f64;
-    Estimate::of([
+    MemoryEstimate::of([
         (OUTPUT, rows * (1.0 + REPORT_NUMBER / NUMBER)),
         (MOTION, nodes as f64 * EQUILIBRIUM_NODE),
     ])
@@ -157,7 +157,7 @@ const EQUILIBRIUM_NODE: f64 = 2e4;
 /// Estimates the memory of a solve with its check, its gains and its files. Several starts keep a motion each; `n_threads` of them are
 /// solved at a time.
 #[must_use]
-pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> Estimate {
+pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> MemoryEstimate {
     let problem = &setup.problem;
     let motion = Motion::of(problem);
     let workers = starts.min(n_threads).max(1) as f64;
@@ -172,7 +172,7 @@ pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> Esti
         * (DENSE * variables * variables
             + DENSE_ROWS * forms * variables
             + (linearized as f64).powi(2));
-    let solve = Estimate::of([
+    let solve = MemoryEstimate::of([
         (
             MOTION,
             workers * (SOLVE_POSES * motion.pose + motion.signals + sweep) + kept * motion.pose,
@@ -194,12 +194,12 @@ pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> Esti
     check.0.push((GAINS, gains));
     check.0.push((MOTION, ended));
     // Writing needs a motion, its rows and at most some hundred rows of a report, which is never more than the solve.
-    solve.or(Estimate::of(check.0))
+    solve.or(MemoryEstimate::of(check.0))
 }
 
 /// Estimates the memory of a check of a result; a deep one adds the second-order condition and the growth of disturbances.
 #[must_use]
-pub fn of_verify(setup: &OptimalControl, deep: bool) -> Estimate {
+pub fn of_verify(setup: &OptimalControl, deep: bool) -> MemoryEstimate {
     let mut estimate = of_replays(&setup.problem);
     if deep {
         let size = deviation(&setup.problem.rod);
@@ -207,12 +207,12 @@ pub fn of_verify(setup: &OptimalControl, deep: bool) -> Estimate {
         let growth = NUMBER * (GROWTH_MATRICES * 1.25 * size * size + 200.0 * variables);
         estimate.0.push((GROWTH, growth));
     }
-    Estimate::of(estimate.0)
+    MemoryEstimate::of(estimate.0)
 }
 
-fn of_replays(problem: &OptimalControlProblem) -> Estimate {
+fn of_replays(problem: &OptimalControlProblem) -> MemoryEstimate {
     let motion = Motion::of(problem);
-    Estimate::of([
+    MemoryEstimate::of([
         (MOTION, CHECK_POSES * motion.pose + motion.signals),
         (ROWS, rows(problem)),
     ])

@@ -6,7 +6,7 @@ use super::error::SceneError;
 use super::model::{self, Parts, Scene};
 use super::source::SceneSource;
 use super::values::{Number, Positive, Radius};
-use crate::mechanics::{Material, Section, SectionProfile, SectionSegment, Shape};
+use crate::mechanics::{Material, Outline, Section, SectionProfile, SectionSegment};
 
 impl Scene {
     pub(super) fn section_profile(
@@ -88,13 +88,13 @@ fn sections_of(parts: &Parts) -> Option<SectionProfile> {
 }
 
 /// Sections of a material with these shapes at the base and at the tip; only circles change between the two.
-pub(super) fn profile(material: Material, [base, tip]: [Shape; 2]) -> SectionProfile {
+pub(super) fn profile(material: Material, [base, tip]: [Outline; 2]) -> SectionProfile {
     match (base, tip) {
         (
-            Shape::Circle {
+            Outline::Circle {
                 radius: base_radius,
             },
-            Shape::Circle { radius: tip_radius },
+            Outline::Circle { radius: tip_radius },
         ) if base_radius != tip_radius => SectionProfile::TaperedCircle {
             material,
             base_radius,

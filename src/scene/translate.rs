@@ -18,7 +18,7 @@ use crate::mechanics::{Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, Limit, Problem, Rest, Start, Staying, Task};
-use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution};
+use crate::verify::{CheckError, CheckLimits, Claim, ForwardCheck};
 
 /// A forward simulation.
 #[derive(Clone, Debug)]
@@ -155,7 +155,7 @@ impl OptimalControl {
     ///
     /// # Errors
     /// [`CheckError`] when a replay cannot be made.
-    pub fn certify(&self, solution: &Solution) -> Result<ForwardCheck, CheckError> {
+    pub fn certify(&self, solution: &Claim) -> Result<ForwardCheck, CheckError> {
         self.posed().certify(solution, &self.check_limits())
     }
 

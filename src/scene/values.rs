@@ -23,7 +23,7 @@ pub type PoissonRatio = Number<Elastic, Poisson>;
 pub struct Number<R, Q>(f64, PhantomData<(R, Q)>);
 
 /// A range of numbers.
-pub trait Range {
+pub trait NumberRange {
     /// Tells whether a finite number is in the range; other numbers are not.
     fn contains(value: f64) -> bool;
 
@@ -38,7 +38,7 @@ pub trait Range {
 }
 
 /// The quantity that a number measures.
-pub trait Quantity {
+pub trait Measurand {
     /// Its name in words, without article.
     const NAME: &'static str;
     /// Its unit in words or symbols; empty for pure numbers.
@@ -57,7 +57,7 @@ pub struct ZeroToOne;
 /// The range of the Poisson's ratios of isotropic elastic materials.
 pub struct Elastic;
 
-impl Range for AboveZero {
+impl NumberRange for AboveZero {
     fn contains(value: f64) -> bool {
         value.is_finite() && value > 0.0
     }
@@ -69,7 +69,7 @@ impl Range for AboveZero {
     const KEYWORDS: &'static [(&'static str, f64)] = &[("exclusiveMinimum", 0.0)];
 }
 
-impl Range for NotBelowZero {
+impl NumberRange for NotBelowZero {
     fn contains(value: f64) -> bool {
         value.is_finite() && value >= 0.0
     }
@@ -81,7 +81,7 @@ impl Range for NotBelowZero {
     const KEYWORDS: &'static [(&'static str, f64)] = &[("minimum", 0.0)];
 }
 
-impl Range for ZeroToOne {
+impl NumberRange for ZeroToOne {
     fn contains(value: f64) -> bool {
         (0.0..=1.0).contains(&value)
     }
@@ -93,7 +93,7 @@ impl Range for ZeroToOne {
     const KEYWORDS: &'static [(&'static str, f64)] = &[("minimum", 0.0), ("maximum", 1.0)];
 }
 
-impl Range for Elastic {
+impl NumberRange for Elastic {
     fn contains(value: f64) -> bool {
         value > -1.0 && value <= 0.5
     }
@@ -126,7 +126,7 @@ pub(super) const fn known<R, Q>(value: f64) -> Number<R, Q> {
     Number(value, PhantomData)
 }
 
-impl<R: Range, Q> Number<R, Q> {
+impl<R: NumberRange, Q> Number<R, Q> {
     /// Returns `value`, if it is in the range.
     #[must_use]
     pub fn new(value: f64) -> Option<Self> {
@@ -178,7 +178,7 @@ impl<R, Q> Serialize for Number<R, Q> {
     }
 }
 
-impl<'de, R: Range, Q: Quantity> Deserialize<'de> for Number<R, Q> {
+impl<'de, R: NumberRange, Q: Measurand> Deserialize<'de> for Number<R, Q> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = f64::deserialize(deserializer)?;
         Self::new(value).ok_or_else(|| {
@@ -190,7 +190,7 @@ impl<'de, R: Range, Q: Quantity> Deserialize<'de> for Number<R, Q> {
 /// The expected value in the message about a number out of range; in the alternate form with its unit.
 struct Expected<R, Q>(PhantomData<(R, Q)>);
 
-impl<R: Range, Q: Quantity> de::Expected for Expected<R, Q> {
+impl<R: NumberRange, Q: Measurand> de::Expected for Expected<R, Q> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match R::HINT {
             Some(hint) if f.alternate() => return f.write_str(hint),
@@ -219,7 +219,7 @@ pub(super) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
-impl<R: Range, Q> schemars::JsonSchema for Number<R, Q> {
+impl<R: NumberRange, Q> schemars::JsonSchema for Number<R, Q> {
     fn inline_schema() -> bool {
         true
     }
@@ -251,7 +251,7 @@ macro_rules! quantities {
         #[doc = concat!("A ", $name, ".")]
         pub struct $quantity;
 
-        impl Quantity for $quantity {
+        impl Measurand for $quantity {
             const NAME: &'static str = $name;
             const UNIT: &'static str = $unit;
         }

@@ -11,7 +11,7 @@ use crate::scene::{Doubt, OptimalControl, Scene, SceneError, SceneSource, number
 use crate::stop::StopSignal;
 use crate::task::Discretization;
 use crate::verify::doubt::{Margins, Plants, replay_on_plants};
-use crate::verify::{CheckError, ForwardCheck, Solution};
+use crate::verify::{CheckError, Claim, ForwardCheck};
 
 /// The use of drawn plants, each of which has plants of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -166,7 +166,7 @@ impl Doubted {
     pub fn replay(
         &self,
         setup: &OptimalControl,
-        solution: &Solution,
+        solution: &Claim,
         check: &mut ForwardCheck,
     ) -> Result<(), CheckError> {
         let draw = |plant: usize| self.draw(Purpose::Check, plant);
@@ -179,7 +179,7 @@ impl Doubted {
     fn margins(
         &self,
         setup: &OptimalControl,
-        solution: &Solution,
+        solution: &Claim,
         share: f64,
     ) -> Result<Margins, CheckError> {
         let draw = |plant: usize| self.draw(Purpose::Margins, plant);

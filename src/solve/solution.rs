@@ -126,8 +126,8 @@ impl Solution {
 
     /// Returns the solution in the form that the check reads.
     #[must_use]
-    pub fn claim(&self) -> verify::Solution<'_> {
-        verify::Solution {
+    pub fn claim(&self) -> verify::Claim<'_> {
+        verify::Claim {
             trajectory: self.trajectory(),
             coefficients: &self.coefficients,
             multipliers: self.multipliers.borrowed(),

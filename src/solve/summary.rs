@@ -18,7 +18,7 @@ use crate::mechanics::Trajectory;
 use crate::output::json_value;
 use crate::output::summary::{
     AttemptSummary, CheckRecord, LargestDistance, LargestSpeed, NOT_CHECKED, NamedConstraint,
-    NamedValue, PhaseSummary, ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities,
+    NamedValue, PhaseSummary, ProblemFacts, Reached, RegulatorFacts, SCHEMA_VERSION,
     SensitivitySummary, SolveSummary, StartSummary, StaysSummary, TOOL, TipEnd,
 };
 use crate::sqp::{IterationRecord, Progress, SqpStatus};
@@ -143,11 +143,11 @@ pub(super) fn tip_end(check: Option<&ForwardCheck>) -> TipEnd {
 }
 
 /// Growth of perturbations, where gains were computed.
-pub(super) fn sensitivities(feedback: Option<&Feedback>) -> Sensitivities {
+pub(super) fn sensitivities(feedback: Option<&Feedback>) -> RegulatorFacts {
     let of = |growth: fn(&Feedback) -> &[f64]| {
         feedback.map(|feedback| SensitivitySummary::of(growth(feedback)))
     };
-    Sensitivities {
+    RegulatorFacts {
         open_loop_sensitivity: of(|feedback| &feedback.open_loop),
         closed_loop_sensitivity: of(|feedback| &feedback.closed_loop),
     }

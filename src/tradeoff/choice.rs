@@ -1,7 +1,7 @@
 //! The search for the coarsest grid on which a simulation is accurate enough.
 
-use super::grid::{self, End, Estimate, Grid, HOUR, LONGEST, Measured, Order, Rule};
-use super::motion::{Motion, Run, RunError, Setup};
+use super::grid::{self, End, Grid, GridErrors, GridRule, HOUR, LONGEST, Measured, Order};
+use super::motion::{ComparedMotion, Run, RunError, Setup};
 use crate::mechanics::{StepError, TimeScheme};
 use crate::output::summary::{AccuracySummary, Level};
 use crate::stop::StopSignal;
@@ -80,7 +80,7 @@ pub enum ChoiceError {
 /// # Errors
 /// Returns [`ChoiceError`] if no grid is accurate enough or a motion cannot be simulated.
 pub fn choose(
-    motion: &Motion,
+    motion: &ComparedMotion,
     base: &Discretization,
     accuracy: f64,
     stop: &StopSignal,
@@ -93,7 +93,7 @@ pub fn choose(
 /// # Errors
 /// As [`choose`].
 pub fn choose_telling(
-    motion: &Motion,
+    motion: &ComparedMotion,
     base: &Discretization,
     accuracy: f64,
     stop: &StopSignal,
@@ -114,7 +114,7 @@ pub fn choose_telling(
         levels: Vec::new(),
         last: None,
     };
-    let rule = Rule {
+    let rule = GridRule {
         accuracy,
         order: Order::Assumed,
         longest: LONGEST,
@@ -167,7 +167,7 @@ impl Choice {
             elements: self.discretization.elements,
             step: self.discretization.step.unwrap_or(f64::NAN),
         };
-        let estimate = Estimate {
+        let estimate = GridErrors {
             grid,
             parts: self.parts,
         };
@@ -199,7 +199,7 @@ impl ChoiceError {
 /// Returns the discretization that all grids of a search share. Its integrator is chosen for the work of the whole search: the first motion
 /// alone is short work, for which another one would be chosen.
 fn suited(
-    motion: &Motion,
+    motion: &ComparedMotion,
     base: &Discretization,
     accuracy: f64,
 ) -> Result<Discretization, ChoiceError> {
@@ -219,7 +219,7 @@ fn suited(
 }
 
 struct Search<'a> {
-    motion: &'a Motion,
+    motion: &'a ComparedMotion,
     /// Discretization that all grids share: one motion is simulated with one integrator and one inertia.
     base: Discretization,
     accuracy: f64,
@@ -269,7 +269,7 @@ impl Search<'_> {
     }
 
     /// Runs three coarse motions; with more elements while they break down, and then with steps shorter than automatic ones.
-    fn coarse(&mut self, first: usize) -> Result<(Run, Estimate), ChoiceError> {
+    fn coarse(&mut self, first: usize) -> Result<(Run, GridErrors), ChoiceError> {
         let mut shortest = 1.0;
         let mut elements = first;
         loop {
@@ -292,7 +292,7 @@ impl Search<'_> {
         &mut self,
         elements: usize,
         shortest: f64,
-    ) -> Result<(Run, Estimate), ChoiceError> {
+    ) -> Result<(Run, GridErrors), ChoiceError> {
         let length = self.motion.arm.length;
         let longest = f64::INFINITY;
         let coarse = self.run(
@@ -333,11 +333,11 @@ impl Search<'_> {
             self.note(run, error);
         }
         let grid = coarse.grid();
-        Ok((coarse, Estimate { grid, parts }))
+        Ok((coarse, GridErrors { grid, parts }))
     }
 
     /// Runs a finer grid and compares it with the last one.
-    fn finer(&mut self, grid: Grid, before: &Estimate) -> Result<(Run, Estimate), ChoiceError> {
+    fn finer(&mut self, grid: Grid, before: &GridErrors) -> Result<(Run, GridErrors), ChoiceError> {
         let run = self.run(grid, SHORTEST)?;
         let distance = self.last.as_ref().map_or(f64::INFINITY, |last| {
             (last.course.errors(&run.course, self.motion.arm.length)).shape

@@ -55,7 +55,7 @@ impl Grid {
 
 /// The errors that elements and steps make on a grid, divided by the length.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
+pub struct GridErrors {
     /// The grid.
     pub grid: Grid,
     /// `a/K²` and `b h²`.
@@ -73,7 +73,7 @@ pub enum Order {
 
 /// Requirements on a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rule {
+pub struct GridRule {
     /// Largest error, divided by the length.
     pub accuracy: f64,
     /// Knowledge of the order of the errors.
@@ -82,7 +82,7 @@ pub struct Rule {
     pub longest: f64,
 }
 
-impl Rule {
+impl GridRule {
     /// Returns the fraction of the accuracy up to which an estimate confirms a grid.
     fn confirmed(&self) -> f64 {
         match self.order {
@@ -113,7 +113,7 @@ impl Rule {
     }
 }
 
-impl Estimate {
+impl GridErrors {
     /// Returns the error, divided by the length.
     #[must_use]
     pub fn error(&self) -> f64 {
@@ -122,7 +122,7 @@ impl Estimate {
 
     /// Tells whether the grid is accurate enough for the rule.
     #[must_use]
-    pub fn meets(&self, rule: &Rule) -> bool {
+    pub fn meets(&self, rule: &GridRule) -> bool {
         self.error() <= rule.confirmed() * rule.accuracy
     }
 
@@ -204,7 +204,7 @@ impl Estimate {
 #[derive(Clone, Copy, Debug)]
 pub struct Measured {
     /// Errors on the grid.
-    pub estimate: Estimate,
+    pub estimate: GridErrors,
     /// Predicted seconds of the work on the grid.
     pub seconds: f64,
     /// Tells whether the grid is too coarse for a reason other than its errors.
@@ -235,7 +235,7 @@ pub enum End {
 /// # Errors
 /// Those of `measure`.
 pub fn search<E>(
-    rule: &Rule,
+    rule: &GridRule,
     first: Grid,
     mut measure: impl FnMut(Grid, Option<&Measured>) -> Result<Option<Measured>, E>,
 ) -> Result<(Option<Measured>, End), E> {
@@ -278,7 +278,7 @@ pub fn search<E>(
 
 /// Returns the order by which an error fell from `before` to `after`, given that the model of second order predicts the fall; NaN if an
 /// error is unknown.
-fn observed_order(before: &Estimate, after: &Estimate) -> f64 {
+fn observed_order(before: &GridErrors, after: &GridErrors) -> f64 {
     let expected = before.on(after.grid).error() / before.error();
     2.0 * (after.error() / before.error()).ln() / expected.ln()
 }
@@ -298,7 +298,7 @@ pub(super) fn remainder(order: Option<f64>) -> f64 {
 /// Returns the result of a search for an accuracy as the numbers and the sentence of a summary.
 pub(super) fn summary(
     asked: f64,
-    last: &Estimate,
+    last: &GridErrors,
     met: bool,
     levels: Vec<Level>,
 ) -> AccuracySummary {

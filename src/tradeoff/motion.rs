@@ -2,7 +2,7 @@
 
 use super::course::{Course, TIMES, advance};
 use super::grid::Grid;
-use crate::clock::{Clock, Seconds};
+use crate::clock::{ProcessorClock, Seconds};
 use crate::mechanics::{Rod, State, StepError, TimeGrid};
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
@@ -11,7 +11,7 @@ use crate::task::{Arm, Discretization, DiscretizeError, Start};
 
 /// A motion on which discretizations are compared: an arm, its start, and a duration.
 #[derive(Clone, Debug)]
-pub struct Motion {
+pub struct ComparedMotion {
     /// The arm.
     pub arm: Arm,
     /// State at time 0.
@@ -83,7 +83,7 @@ impl Setup {
     }
 
     pub fn run(&self, stop: &StopSignal) -> Result<Run, StepError> {
-        let clock = Clock::start();
+        let clock = ProcessorClock::start();
         let course = Course::of(&self.rod, self.grid, &self.initial, None, stop)?;
         Ok(Run {
             discretization: self.discretization,
@@ -95,13 +95,13 @@ impl Setup {
 
     /// Simulates and returns the seconds of the simulation.
     pub fn time(&self, stop: &StopSignal) -> Result<Seconds, StepError> {
-        let clock = Clock::start();
+        let clock = ProcessorClock::start();
         advance(&self.rod, self.grid, &self.initial, None, stop, |_, _| ())?;
         Ok(clock.seconds())
     }
 }
 
-impl Motion {
+impl ComparedMotion {
     /// Returns the motion of a scene.
     ///
     /// # Errors

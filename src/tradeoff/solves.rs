@@ -1,6 +1,6 @@
 //! Solves a problem on finer and finer grids until the check of its solution finds it accurate enough.
 
-use super::grid::{self, End, Estimate, Grid, HOUR, LONGEST, Measured, Order, Rule};
+use super::grid::{self, End, Grid, GridErrors, GridRule, HOUR, LONGEST, Measured, Order};
 use crate::output::summary::{AccuracySummary, Level};
 use crate::scene::{OptimalControl, Scene};
 use crate::solve::{Chosen, Earlier};
@@ -50,7 +50,7 @@ pub(crate) fn solve_on_grids<E>(
             warning: None,
         });
     };
-    let rule = Rule {
+    let rule = GridRule {
         accuracy,
         // The check observes the order of the errors.
         order: Order::Observed,
@@ -99,8 +99,9 @@ pub(crate) fn solve_on_grids<E>(
     Ok(SolvedOnGrids {
         chosen,
         setup,
-        accuracy: last
-            .map(|last: Estimate| grid::summary(accuracy, &last, last.error() <= accuracy, levels)),
+        accuracy: last.map(|last: GridErrors| {
+            grid::summary(accuracy, &last, last.error() <= accuracy, levels)
+        }),
         warning: match end {
             End::TooLong { wanted, seconds } => Some(format!(
                 "{} elements, which the accuracy needs, would take some {:.0} hours to solve on; the last grid is kept",
@@ -118,7 +119,7 @@ fn measured(chosen: &Chosen, check: &ForwardCheck, length: f64) -> Measured {
     // A criterion other than the error for which a grid is too coarse, such as an obstacle between two samples.
     let by_grid = |item: &CheckItem| !item.holds() && OF_THE_GRID.contains(&item.name);
     Measured {
-        estimate: Estimate {
+        estimate: GridErrors {
             grid: Grid {
                 elements: solved.discretization.elements,
                 step: solved.discretization.step.unwrap_or(f64::NAN),
@@ -153,7 +154,7 @@ fn on_grid<E>(
     }
 }
 
-fn going_on(last: &Estimate, accuracy: f64, next: &OptimalControl) -> String {
+fn going_on(last: &GridErrors, accuracy: f64, next: &OptimalControl) -> String {
     format!(
         "{} elements and steps of {:.4e} s make an error of about {:.1e} of the length, of which elements make {:.1e} and steps {:.1e}; \
          {accuracy:e} is asked, so that the solve goes on with {} elements and steps of {:.4e} s",

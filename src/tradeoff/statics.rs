@@ -1,6 +1,6 @@
 //! Statics with as many elements as an accuracy of the tip needs.
 
-use super::grid::{self, Estimate, Grid, LONGEST, Measured, Order, Rule};
+use super::grid::{self, Grid, GridErrors, GridRule, LONGEST, Measured, Order};
 use crate::solve::{Statics, StaticsError, StaticsOptions, statics};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
@@ -17,7 +17,7 @@ pub fn accurate_statics(
     options: &StaticsOptions,
     stop: &StopSignal,
 ) -> Result<(usize, Statics), StaticsError> {
-    let rule = Rule {
+    let rule = GridRule {
         accuracy,
         order: Order::Assumed,
         longest: LONGEST,
@@ -38,7 +38,7 @@ pub fn accurate_statics(
         found = Some((grid.elements, statics));
         let parts = [error.unwrap_or(f64::INFINITY), 0.0];
         Ok::<_, StaticsError>(Some(Measured {
-            estimate: Estimate { grid, parts },
+            estimate: GridErrors { grid, parts },
             seconds: 0.0,
             too_coarse: false,
         }))

@@ -21,11 +21,9 @@ use softarm::sqp::{
     solve,
 };
 use softarm::verify::kkt::{self, NamedRow};
-use softarm::verify::momentum::MomentumBalance;
+use softarm::verify::momentum::MomentumDefect;
 use softarm::verify::second_order::Extremum;
-use softarm::verify::{
-    CheckItem, ForwardCheck, Solution, SolutionMultipliers, forward_check, replay,
-};
+use softarm::verify::{CheckItem, Claim, ForwardCheck, SolutionMultipliers, forward_check, replay};
 
 /// A problem, what its rod is built from, and a solution.
 struct Solved {
@@ -86,7 +84,7 @@ impl Solved {
     }
 
     fn deep_check(&self) -> ForwardCheck {
-        let solution = Solution {
+        let solution = Claim {
             trajectory: &self.outcome.point.trajectory,
             coefficients: &self.controls(),
             multipliers: self.multipliers(),
@@ -520,17 +518,17 @@ fn momentum_balances_to_rounding() {
             let mut motion = replay(&problem.rod, grid, &problem.initial, &signal)
                 .unwrap()
                 .trajectory;
-            let balance = MomentumBalance::of(&problem, &motion, &signal);
+            let balance = MomentumDefect::of(&problem, &motion, &signal);
             println!("{method:?} {:?}: {balance:?}", problem.rod.base);
             assert!(balance.over_rounding <= 1.0);
 
             let kept = problem.rod.gravity;
             Arc::make_mut(&mut problem.rod).gravity *= 1.0 + 1e-6;
-            let other = MomentumBalance::of(&problem, &motion, &signal);
+            let other = MomentumDefect::of(&problem, &motion, &signal);
             assert!(other.over_rounding > 10.0, "{other:?}");
             Arc::make_mut(&mut problem.rod).gravity = kept;
             motion.positions[30 * 6 + 3].x += 1e-6;
-            let other = MomentumBalance::of(&problem, &motion, &signal);
+            let other = MomentumDefect::of(&problem, &motion, &signal);
             assert!(other.over_rounding > 1e3, "{other:?}");
         }
     }

@@ -13,9 +13,9 @@ use softarm::mechanics::linearization::{RightHandSide, StateTangent};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     BaseCondition, BaseMotion, Configuration, ControlSignal, DistributedLoad, Load, LoadFrame,
-    Material, MotionCurve, NodeInertia, NodeSpring, Oscillation, Rod, RodModel, RodParameters,
-    Section, SectionProfile, SectionSegment, Shape, State, StrainRule, TimeGrid, TimeScheme,
-    Trajectory, Wrench, nearby_equilibrium_until,
+    Material, MotionCurve, NodeInertia, NodeSpring, Oscillation, Outline, Rod, RodModel,
+    RodParameters, Section, SectionProfile, SectionSegment, State, StrainRule, TimeGrid,
+    TimeScheme, Trajectory, Wrench, nearby_equilibrium_until,
 };
 use softarm::stop::StopSignal;
 
@@ -298,7 +298,7 @@ pub fn busy_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
 /// and a body.
 pub fn uneven_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
     let busy = busy_arm(strain_rule, n_elements);
-    let strip = Shape::Rectangle {
+    let strip = Outline::Rectangle {
         width: 0.09,
         height: 0.06,
     };

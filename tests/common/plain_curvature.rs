@@ -3,8 +3,8 @@
 use faer::Mat;
 use nalgebra::{SVector, Vector3};
 use softarm::mechanics::curvature::{
-    InertiaCurvature, Multipliers, NodeCurvature, OwnCurvature, StressCurvature, element_curvature,
-    inertia_curvature, load_curvatures, stress_curvature,
+    InertiaCurvature, MotionMultipliers, NodeCurvature, OwnCurvature, StressCurvature,
+    element_curvature, inertia_curvature, load_curvatures, stress_curvature,
 };
 use softarm::mechanics::element::ElementStiffness;
 use softarm::mechanics::implicit::IntervalWeights;
@@ -29,7 +29,12 @@ fn pulled([a, b]: [Pair; 2], weight: f64) -> SVector<f64, 9> {
 }
 
 impl StepCurvature {
-    fn at(motion: &Motion, trajectory: &Trajectory, multipliers: &Multipliers, k: usize) -> Self {
+    fn at(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        multipliers: &MotionMultipliers,
+        k: usize,
+    ) -> Self {
         let rod = motion.rod;
         let n = rod.n_nodes();
         let kick = motion.kick(k);
@@ -105,7 +110,7 @@ impl StepCurvature {
 pub fn lagrangian_curvature(
     motion: &Motion,
     trajectory: &Trajectory,
-    multipliers: &Multipliers,
+    multipliers: &MotionMultipliers,
     directions: &[TrajectoryTangent],
 ) -> Mat<f64> {
     let n = motion.rod.n_nodes();

@@ -16,7 +16,7 @@ use softarm::mechanics::{
     BaseCondition, Rod, RodParameters, Section, SectionProfile, State, StrainRule, TimeGrid, Wrench,
 };
 use softarm::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, solve};
-use softarm::verify::momentum::MomentumBalance;
+use softarm::verify::momentum::MomentumDefect;
 
 const DURATION: f64 = 0.9;
 const STEPS: usize = 180;
@@ -324,7 +324,7 @@ fn obeys_the_impulse_law(
     }
     println!("momenta off by {worst:e} of {largest:e}");
     assert!(worst < 1e-10 * largest);
-    let balance = MomentumBalance::of(problem, trajectory, &control);
+    let balance = MomentumDefect::of(problem, trajectory, &control);
     assert!(
         balance.linear.max(balance.angular) < 1e-10 * largest,
         "{balance:?}"

@@ -416,7 +416,7 @@ fn problems_can_be_described_as_scenes() {
 /// arm: elements, nodes and radii are those of the program, up to rounding.
 #[test]
 fn arms_in_pieces_are_described() {
-    let strip = softarm::mechanics::Shape::Rectangle {
+    let strip = softarm::mechanics::Outline::Rectangle {
         width: 0.1,
         height: 0.06,
     };

@@ -8,7 +8,7 @@ use softarm::control::{LiftedPoint, Transcription, search, simulated};
 use softarm::output::MultiplierRecord;
 use softarm::scene::{OptimalControl, Scene};
 use softarm::sqp::{IterationRecord, SqpOutcome, SqpStatus, solve};
-use softarm::verify::{CheckItem, ForwardCheck, Solution};
+use softarm::verify::{CheckItem, Claim, ForwardCheck};
 
 const SCENE: &str = "\
 [rod]
@@ -74,7 +74,7 @@ impl Found {
     fn checked(&self, time_scale: f64) -> ForwardCheck {
         let setup = self.setup.with_time_scale(time_scale);
         let motion = simulated(&setup.problem, &self.coefficients).unwrap();
-        let solution = Solution {
+        let solution = Claim {
             trajectory: &motion.trajectory,
             coefficients: &self.coefficients,
             multipliers: self.multipliers.borrowed(),

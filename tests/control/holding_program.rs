@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 use softarm::control::holding::program::{Aim, Demand, HoldingPoint, HoldingProgram};
-use softarm::control::holding::statics::Statics;
+use softarm::control::holding::statics::HoldingStatics;
 use softarm::control::{
     ActuatedNode, Bound, Channel, ControlGrid, HeldTarget, Hold, Objective, OptimalControlProblem,
 };
@@ -61,7 +61,7 @@ fn held_at_tip() -> OptimalControlProblem {
 fn curvature_is_the_second_difference_over_equilibria() {
     let problem = &held_at_tip();
     let components = problem.actuated_components();
-    let statics = Statics {
+    let statics = HoldingStatics {
         unit: own_squared_frequency(&problem.rod),
         ends: vec![None; components.len()],
         components,

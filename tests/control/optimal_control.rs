@@ -25,7 +25,7 @@ use softarm::sqp::{
     SqpSettings, SqpStatus, solve,
 };
 use softarm::stop::Stop;
-use softarm::verify::{ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt, replay};
+use softarm::verify::{Claim, ForwardCheck, SolutionMultipliers, forward_check, kkt, replay};
 
 /// A problem and what its rod is built from.
 struct Case {
@@ -178,7 +178,7 @@ impl Case {
         forward_check(
             &self.problem,
             &|own| finer_at_rest(&self.parameters, own.elements),
-            &Solution {
+            &Claim {
                 trajectory: &point.trajectory,
                 coefficients: &self.problem.coefficients(&point.variables),
                 multipliers: SolutionMultipliers::of_goals(multipliers),

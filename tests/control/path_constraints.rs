@@ -18,7 +18,7 @@ use softarm::sqp::{
     LiftedProgram as _, LinearizationRequest, Multipliers, SqpOutcome, SqpSettings, SqpStatus,
     solve,
 };
-use softarm::verify::{ForwardCheck, Solution, SolutionMultipliers, forward_check, kkt};
+use softarm::verify::{Claim, ForwardCheck, SolutionMultipliers, forward_check, kkt};
 
 /// A point that obeys its equations, somewhere.
 fn rolled_out(program: &Transcription, dice: &mut Dice) -> LiftedPoint {
@@ -250,7 +250,7 @@ fn checked(
     forward_check(
         problem,
         &|own| finer_at_rest(parameters, own.elements),
-        &Solution {
+        &Claim {
             trajectory: &outcome.point.trajectory,
             coefficients: &problem.coefficients(&outcome.point.variables),
             multipliers: SolutionMultipliers {

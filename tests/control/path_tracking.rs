@@ -12,7 +12,7 @@ use softarm::scene::{OptimalControl, Scene};
 use softarm::sqp::{
     IterationRecord, KktResidual, LiftedProgram, LinearizationRequest, SqpOutcome, SqpStatus,
 };
-use softarm::verify::{ForwardCheck, Solution};
+use softarm::verify::{Claim, ForwardCheck};
 
 /// Radius of the circle, m.
 const RADIUS: f64 = 0.06;
@@ -72,7 +72,7 @@ fn solved(setup: &OptimalControl) -> SqpOutcome<LiftedPoint> {
 fn checked(setup: &OptimalControl, outcome: &SqpOutcome<LiftedPoint>) -> ForwardCheck {
     let program = Transcription::new(&setup.problem, 1);
     let multipliers = MultiplierRecord::of(&program, outcome);
-    let solution = Solution {
+    let solution = Claim {
         trajectory: &outcome.point.trajectory,
         coefficients: &setup.problem.coefficients(&outcome.point.variables),
         multipliers: multipliers.borrowed(),

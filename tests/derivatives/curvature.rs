@@ -13,7 +13,7 @@ use common::{
 use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use softarm::mechanics::curvature::{
-    Multipliers, OwnCurvature, element_curvature, inertia_curvature, load_curvature,
+    MotionMultipliers, OwnCurvature, element_curvature, inertia_curvature, load_curvature,
     resistance_curvatures, stress_curvature,
 };
 use softarm::mechanics::element::{
@@ -512,7 +512,7 @@ impl Case {
         let mut own = self.own.clone();
         own.extend(resistance_curvatures(&motion, trajectory, &adjoint));
         own.sort_by_key(|own| own.time_node);
-        let multipliers = Multipliers {
+        let multipliers = MotionMultipliers {
             adjoint: &adjoint,
             own: &own,
         };
@@ -607,7 +607,7 @@ impl Case {
         trajectory: &Trajectory,
         start: &Trajectory,
         control: &ControlSignal,
-        multipliers: &Multipliers,
+        multipliers: &MotionMultipliers,
     ) -> f64 {
         let d = defects(&self.motion(), trajectory, control).unwrap();
         let rows: f64 = (d.linear.iter().zip(&multipliers.adjoint.linear))
@@ -740,7 +740,7 @@ fn fast_reduction_equals_the_clear_one() {
             let sources = case.sources(&trajectory);
             columns.extend(sources.each_ref().map(|s| sweep(Some(s), &nothing)));
             let adjoint = plain.adjoint_sweep(&case.forms);
-            let multipliers = Multipliers {
+            let multipliers = MotionMultipliers {
                 adjoint: &adjoint,
                 own: &case.own,
             };
@@ -783,7 +783,7 @@ fn curvature_is_that_of_the_lagrangian_on_a_lifted_trajectory() {
             let motion = case.motion();
             let plain = Plain::along(&motion, &trajectory);
             let adjoint = plain.adjoint_sweep(&case.forms);
-            let multipliers = Multipliers {
+            let multipliers = MotionMultipliers {
                 adjoint: &adjoint,
                 own: &case.own,
             };

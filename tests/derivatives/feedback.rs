@@ -10,7 +10,7 @@ use common::{Dice, Method, bases, busy_arm, methods, random_signal, random_state
 use faer::Mat;
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
-    ControlKind, Feedback, FeedbackWeights, Guess, Hold, OptimalControlProblem, Quantity,
+    ControlKind, Feedback, FeedbackWeights, Guess, Hold, ModelQuantity, OptimalControlProblem,
     Transcription, first_point,
 };
 use softarm::mechanics::linearization::Motion;
@@ -428,15 +428,15 @@ fn mismatches_are_motions_of_other_arms() {
             unreachable!("a uniform arm")
         };
         match mismatch.quantity {
-            Quantity::Stiffness => {
+            ModelQuantity::Stiffness => {
                 section.linear_stiffness *= mismatch.factor;
                 section.angular_stiffness *= mismatch.factor;
             }
-            Quantity::Mass => {
+            ModelQuantity::Mass => {
                 section.mass *= mismatch.factor;
                 section.rotary *= mismatch.factor;
             }
-            Quantity::Damping => other.viscous_damping *= mismatch.factor,
+            ModelQuantity::Damping => other.viscous_damping *= mismatch.factor,
         }
         let mut there = problem.clone();
         there.rod = Rod::new(&other).unwrap().into();

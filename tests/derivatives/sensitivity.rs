@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use softarm::mechanics::linearization::{Motion, RightHandSide, StateTangent};
 use softarm::mechanics::rotation::{cay_inverse, exp, log};
 use softarm::mechanics::sensitivity::{
-    self, ControlColumns, Route, Sensitivities, adjoint, direction, sensitivities,
+    self, ControlColumns, Sensitivities, SweepRoute, adjoint, direction, sensitivities,
 };
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
@@ -157,7 +157,7 @@ fn both_routes_equal_the_clear_sweep() {
             let forward = run(&many, 1);
             assert_eq!(
                 (reverse.route, forward.route),
-                (Route::Reverse, Route::Forward)
+                (SweepRoute::Reverse, SweepRoute::Forward)
             );
             assert_same(&reverse, &run(&forms, 3));
             assert_same(&forward, &run(&many, 3));
@@ -372,7 +372,7 @@ fn covectors_of_the_start_equal_the_clear_sweep() {
                 nodes: vec![rod.tip()],
             };
             let found = sensitivities(&motion, &trajectory, &[], &blocks, &forms, None, 1).unwrap();
-            assert_eq!(found.route, Route::Reverse);
+            assert_eq!(found.route, SweepRoute::Reverse);
             let start = found.start.expect("the reverse route ends with them");
             let sum = adjoint(&motion, &trajectory, &forms, 1).unwrap().start;
             let plain = Plain::along(&motion, &trajectory);

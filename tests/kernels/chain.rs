@@ -5,12 +5,12 @@ use nalgebra::{DMatrix, DVector};
 
 struct Dense(DMatrix<f64>);
 
-impl Blocks for Dense {
-    fn diagonal(&self, i: usize) -> Square {
+impl ChainBlocks for Dense {
+    fn diagonal(&self, i: usize) -> ChainBlock {
         self.beside(i, i)
     }
 
-    fn beside(&self, i: usize, j: usize) -> Square {
+    fn beside(&self, i: usize, j: usize) -> ChainBlock {
         let mut out = ZERO;
         for (column, entries) in out.iter_mut().enumerate() {
             for (row, entry) in entries.0.iter_mut().enumerate().take(SIZE) {

@@ -6,7 +6,7 @@ use cosserat::{
     ControlSignal, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State,
     StateForm, TimeGrid, TimeScheme, Trajectory, stable_step,
 };
-use integrator::curvature::Multipliers;
+use integrator::curvature::MotionMultipliers;
 use integrator::linearization::{Defects, Motion};
 use integrator::sensitivity::adjoint;
 use integrator::sensitivity::along::Along;
@@ -99,7 +99,7 @@ fn lanes_equal_single_time_nodes() {
         covector.angular[n] = Vector3::new(300.0, 200.0, -100.0);
         let forms = [StateForm::of_covector(grid.n_steps, &covector)];
         let adjoint = adjoint(&motion, &trajectory, &forms, 1).unwrap();
-        let multipliers = Multipliers {
+        let multipliers = MotionMultipliers {
             adjoint: &adjoint,
             own: &[],
         };

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{Material, Rod, RodParameters, Section, SectionProfile};
-use softarm::mpc::holding::{Holding, ReferencePose, motion};
+use softarm::mpc::holding::{HoldingWrenches, ReferencePose, motion};
 use softarm::stop::StopSignal;
 
 /// A straight arm without gravity is held off its line by `3 EI/L³` times the displacement; on the way to a target, by forces in
@@ -21,13 +21,17 @@ fn forces_are_those_of_a_cantilever() {
     };
     let never = StopSignal::default();
     let holding =
-        Holding::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 1.0], &never).expect("short");
+        HoldingWrenches::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 1.0], &never)
+            .expect("short");
     let expected = 3.0 * rod.scales.force * way / rod.scales.length;
     for (t, part) in [(1.0, 1.0), (7.0, 1.0), (0.55, 0.55)] {
         let force = holding.wrench(t).force.x / expected;
         assert!((force / part - 1.0).abs() < 5e-3, "{t}: {force}");
     }
-    assert!(Holding::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 1e4], &never).is_none());
+    assert!(
+        HoldingWrenches::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 1e4], &never)
+            .is_none()
+    );
 }
 /// A straight arm whose tip is to be across by `d` and turned by `θ` takes the force `12 d - 6 θ` (EI/L³ and EI/L²) and the moment
 /// `4 θ - 6 d` of a beam that is clamped at both ends.
@@ -44,7 +48,8 @@ fn wrenches_are_those_of_a_clamped_beam() {
     };
     let never = StopSignal::default();
     let holding =
-        Holding::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 0.0], &never).expect("short");
+        HoldingWrenches::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 0.0], &never)
+            .expect("short");
     let found = holding.wrench(0.0);
     let across = way / rod.scales.length;
     let force = (12.0 * across - 6.0 * turn) * rod.scales.force;
@@ -78,7 +83,8 @@ fn masses_are_moved() {
     };
     let never = StopSignal::default();
     let holding =
-        Holding::along((&rod, rod.tip()), &rod.rest, circle, [0.005, 1.0], &never).expect("short");
+        HoldingWrenches::along((&rod, rod.tip()), &rod.rest, circle, [0.005, 1.0], &never)
+            .expect("short");
     let mass = 33.0 / 140.0 * rod.mass();
     let stiffness = 3.0 * rod.scales.force / rod.scales.length;
     let along = radius * (stiffness - mass * frequency * frequency);

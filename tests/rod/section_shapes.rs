@@ -1,12 +1,12 @@
 //! Areas, second moments and torsion constants of shapes of sections.
 
-use softarm::mechanics::Shape;
+use softarm::mechanics::Outline;
 
 /// A rectangle of 30 x 10 mm, a square, and a strip have the torsion constants of tables: 0.263 a b³ for an aspect of 3, 0.140577 a⁴, and
 /// a b³/3 less 0.63025 b⁴/3.
 #[test]
 fn rectangles_twist_by_st_venant() {
-    let of = |width, height| Shape::Rectangle { width, height }.torsion_constant();
+    let of = |width, height| Outline::Rectangle { width, height }.torsion_constant();
     assert!((of(0.03, 0.01) / 7.90e-9 - 1.0).abs() < 1e-3);
     assert_eq!(of(0.03, 0.01), of(0.01, 0.03));
     assert!((of(1.0, 1.0) / 0.140_577 - 1.0).abs() < 1e-5);
@@ -17,13 +17,13 @@ fn rectangles_twist_by_st_venant() {
 /// A round ellipse and a ring without hole are the circle; no section twists more stiffly than by its polar moment.
 #[test]
 fn shapes_agree_where_they_meet() {
-    let circle = Shape::Circle { radius: 0.3 };
+    let circle = Outline::Circle { radius: 0.3 };
     let [width, height] = [0.6; 2];
-    let ring = Shape::Ring {
+    let ring = Outline::Ring {
         radius: 0.3,
         inner_radius: 0.0,
     };
-    let round = Shape::Ellipse { width, height };
+    let round = Outline::Ellipse { width, height };
     for other in [ring, round] {
         let [a, b] = [circle, other].map(|shape| {
             let [first, second] = shape.second_moments();
@@ -40,11 +40,11 @@ fn shapes_agree_where_they_meet() {
         }
     }
     for shape in [
-        Shape::Rectangle {
+        Outline::Rectangle {
             width: 0.2,
             height: 0.5,
         },
-        Shape::Ellipse {
+        Outline::Ellipse {
             width: 0.2,
             height: 0.5,
         },

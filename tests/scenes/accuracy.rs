@@ -10,7 +10,8 @@ use softarm::scene::Scene;
 use softarm::stop::StopSignal;
 use softarm::task::{Arm, Discretization, Place, PointLoad, Start, StartShape};
 use softarm::tradeoff::{
-    ChoiceError, End, Estimate, Grid, Measured, Motion, Order, Rule, choose, first_elements, search,
+    ChoiceError, ComparedMotion, End, Grid, GridErrors, GridRule, Measured, Order, choose,
+    first_elements, search,
 };
 
 fn silicone() -> Material {
@@ -40,8 +41,8 @@ fn circle_moment() -> Vector3<f64> {
 
 /// A damped arm that a force pulls aside, a hanging tapered arm that is let go, one with internal damping out of the plane, and one of two
 /// segments with a body, whose elements have three lengths.
-fn motions() -> [(&'static str, Motion); 4] {
-    let from_rest = |arm, duration| Motion {
+fn motions() -> [(&'static str, ComparedMotion); 4] {
+    let from_rest = |arm, duration| ComparedMotion {
         arm,
         start: Start::default(),
         duration,
@@ -97,7 +98,7 @@ fn motions() -> [(&'static str, Motion); 4] {
         ("pulled", from_rest(pulled, 1.0)),
         (
             "hanging",
-            Motion {
+            ComparedMotion {
                 start: Start {
                     shape: StartShape::Equilibrium,
                     ..Start::default()
@@ -110,7 +111,7 @@ fn motions() -> [(&'static str, Motion); 4] {
 }
 
 /// How far the motion on a grid is from that with four times the elements and a quarter of the step, over the length.
-fn true_error(motion: &Motion, chosen: Discretization) -> f64 {
+fn true_error(motion: &ComparedMotion, chosen: Discretization) -> f64 {
     let fine = Discretization {
         step: chosen.step.map(|step| 0.25 * step),
         ..chosen.refined(4)
@@ -146,7 +147,7 @@ fn grids_keep_their_promise() {
 #[test]
 fn searches_take_the_integrator_of_their_grids() {
     let stop = StopSignal::default();
-    let motion = Motion {
+    let motion = ComparedMotion {
         arm: Arm {
             viscous_damping: 2.0,
             loads: vec![pull([0.02, 0.0, 0.0], &[])],
@@ -184,7 +185,7 @@ fn searches_take_long_steps_where_the_arm_is_little_bent() {
         ..load
     };
     let over_automatic = |load: PointLoad| {
-        let motion = Motion {
+        let motion = ComparedMotion {
             arm: Arm {
                 loads: vec![slowly(load)],
                 ..wire.clone()
@@ -230,7 +231,7 @@ fn motions_that_break_down_are_tried_with_shorter_steps() {
         moment: circle_moment(),
         ..pull([0.0; 3], &[])
     };
-    let motion = Motion {
+    let motion = ComparedMotion {
         arm: Arm {
             viscous_damping: 2.0,
             loads: vec![moment],
@@ -260,7 +261,7 @@ fn motions_that_break_down_are_tried_with_shorter_steps() {
 #[test]
 fn coils_have_the_elements_that_their_shape_needs() {
     let stop = StopSignal::default();
-    let motion = Motion {
+    let motion = ComparedMotion {
         arm: Arm {
             viscous_damping: 2.0,
             rest_curvature: Vector3::new(0.0, 60.0, 0.0),
@@ -285,9 +286,9 @@ fn coils_have_the_elements_that_their_shape_needs() {
 }
 
 /// Errors `a/K² + b h²`, over the length, with which grids are measured exactly.
-fn modelled([a, b]: [f64; 2], grid: Grid) -> Estimate {
+fn modelled([a, b]: [f64; 2], grid: Grid) -> GridErrors {
     let k = grid.elements as f64;
-    Estimate {
+    GridErrors {
         grid,
         parts: [a / (k * k), b * grid.step * grid.step],
     }
@@ -310,7 +311,7 @@ fn refinement_follows_the_errors() {
         [2e-4, 1e-3],
         [1.0, 1.0],
     ] {
-        let measured = Estimate { grid, parts };
+        let measured = GridErrors { grid, parts };
         let chosen = measured.cheapest(aim);
         assert!(chosen.elements >= 10 && chosen.step <= grid.step * (1.0 + 1e-12));
         let error = measured.on(chosen).error();
@@ -351,7 +352,7 @@ fn distances_of_two_grids_give_their_errors() {
         for (seen, own) in seen.parts.iter().zip(after.parts) {
             assert!((seen - own).abs() <= 1e-9 * own, "{seen} {own}");
         }
-        let doubled = Estimate {
+        let doubled = GridErrors {
             parts: before.parts.map(|part| 2.0 * part),
             ..before
         };
@@ -369,12 +370,12 @@ fn searches_end() {
         elements: 6,
         step: 0.02,
     };
-    let rule = Rule {
+    let rule = GridRule {
         accuracy: 1e-3,
         order: Order::Assumed,
         longest: 3600.0,
     };
-    let run = |seconds: f64, error: &dyn Fn(Grid) -> Estimate| {
+    let run = |seconds: f64, error: &dyn Fn(Grid) -> GridErrors| {
         let mut tried = Vec::new();
         let found = search(&rule, first, |grid, _| {
             tried.push(grid);
@@ -395,7 +396,7 @@ fn searches_end() {
         assert!((1.0..=SQRT_2 + whole).contains(&finer), "{tried:?}");
         assert!(pair[0].step / pair[1].step <= SQRT_2 + 1e-9, "{tried:?}");
     }
-    let ((_, end), tried) = run(1e-6, &|grid| Estimate {
+    let ((_, end), tried) = run(1e-6, &|grid| GridErrors {
         grid,
         parts: [0.1, 0.1],
     });
@@ -410,7 +411,7 @@ fn searches_end() {
 #[test]
 fn what_takes_hours_is_refused() {
     let steel = Material::isotropic(2e11, 0.3, 7850.0);
-    let motion = Motion {
+    let motion = ComparedMotion {
         arm: Arm {
             loads: vec![pull([1e-3, 0.0, 0.0], &[])],
             ..Arm::cylinder(&steel, 0.5, 0.5e-3)

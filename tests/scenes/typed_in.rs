@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use softarm::control::{Transcription, search};
 use softarm::scene::Scene;
 use softarm::sqp::SqpStatus;
-use softarm::verify::{Solution, SolutionMultipliers};
+use softarm::verify::{Claim, SolutionMultipliers};
 
 /// Solves a scene in the way of the command line, with no key but those of its file, and returns its iterations, those of attempts
 /// that were given up included.
@@ -24,7 +24,7 @@ fn certified(name: &str, text: &str) -> usize {
     assert_eq!(outcome.status, SqpStatus::Converged, "{name}");
     let program = Transcription::new(&setup.problem, 1);
     let check = setup
-        .certify(&Solution {
+        .certify(&Claim {
             trajectory: &outcome.point.trajectory,
             coefficients: &setup.problem.coefficients(&outcome.point.variables),
             multipliers: SolutionMultipliers {

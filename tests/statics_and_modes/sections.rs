@@ -6,8 +6,8 @@ use crate::common;
 use common::{SILICONE, equilibrium, tip_load};
 use nalgebra::Vector3;
 use softarm::mechanics::{
-    LoadFrame, Material, NodeInertia, Rod, RodParameters, Section, SectionProfile, SectionSegment,
-    Shape, SmallMotions,
+    LoadFrame, Material, NodeInertia, Outline, Rod, RodParameters, Section, SectionProfile,
+    SectionSegment, SmallMotions,
 };
 use softarm::scene::Scene;
 
@@ -36,7 +36,7 @@ const HEIGHT: f64 = 0.01;
 
 fn rectangle(n_elements: usize) -> RodParameters {
     let (width, height) = (WIDTH, HEIGHT);
-    let section = Section::of_shape(&SILICONE, &Shape::Rectangle { width, height });
+    let section = Section::of_shape(&SILICONE, &Outline::Rectangle { width, height });
     RodParameters::straight(1.0, n_elements, SectionProfile::Uniform(section))
 }
 
@@ -82,7 +82,7 @@ fn a_rectangular_cantilever_has_the_frequencies_of_both_planes_and_of_torsion() 
     let rod = |n| Rod::new(&rectangle(n)).unwrap();
     let section = Section::of_shape(
         &SILICONE,
-        &Shape::Rectangle {
+        &Outline::Rectangle {
             width: WIDTH,
             height: HEIGHT,
         },
@@ -131,7 +131,7 @@ fn a_rectangular_cantilever_has_the_frequencies_of_both_planes_and_of_torsion() 
 fn a_rolled_section_bends_obliquely() {
     let section = Section::of_shape(
         &SILICONE,
-        &Shape::Rectangle {
+        &Outline::Rectangle {
             width: WIDTH,
             height: HEIGHT,
         },

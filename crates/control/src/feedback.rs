@@ -37,7 +37,7 @@ use mechanics::sensitivity::{InputVisitor, Transition, transition_by};
 use mechanics::{EnergyNorm, State, StepError, Stepper, Trajectory, Wrench};
 use stop::StopSignal;
 
-pub use self::mismatch::{ModelMismatch, Quantity, TipDeviation};
+pub use self::mismatch::{ModelMismatch, ModelQuantity, TipDeviation};
 
 /// Weights of the regulator.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::holding::{Target, held_at};
+use super::holding::{HeldTarget, held_at};
 use super::problem::{ActsOn, Goal, OptimalControlProblem};
 use super::tracking::{Tracking, on_great_circle};
 use super::transcription::{LiftedPoint, simulate};
@@ -142,8 +142,8 @@ struct Leg {
 
 impl Leg {
     /// Returns the target of the node at the end of the leg.
-    fn target(&self, node: usize) -> Target {
-        Target {
+    fn target(&self, node: usize) -> HeldTarget {
+        HeldTarget {
             node,
             position: self.position,
             rotation: self.rotation,
@@ -153,12 +153,12 @@ impl Leg {
 
     /// Returns targets on the way of the node's turn from rotation `r`, each at most a quarter turn from the one before; the last is that of
     /// the leg.
-    fn way(&self, node: usize, r: &Matrix3<f64>) -> Vec<Target> {
+    fn way(&self, node: usize, r: &Matrix3<f64>) -> Vec<HeldTarget> {
         let target = self.target(node);
         if let Some(to) = self.rotation {
             let way = quarter_turns(r, &to, self.longer).into_iter();
             return (way.map(Some))
-                .map(|rotation| Target { rotation, ..target })
+                .map(|rotation| HeldTarget { rotation, ..target })
                 .collect();
         }
         let Some(to) = self.direction else {
@@ -170,7 +170,7 @@ impl Leg {
         (1..n)
             .map(step)
             .chain([Some(to)])
-            .map(|direction| Target {
+            .map(|direction| HeldTarget {
                 direction,
                 ..target
             })

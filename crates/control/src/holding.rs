@@ -31,8 +31,8 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 pub use self::along::{ControlsAlong, held_at};
 use self::clearance::HeldLimits;
 use self::program::{Aim, Demand, HoldingPoint, HoldingProgram, NEARER};
-use self::statics::Statics;
-pub use self::statics::Target;
+pub use self::statics::HeldTarget;
+use self::statics::HoldingStatics;
 pub use self::verdict::{CannotHold, Holding, HoldingError, NotFound};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
@@ -95,7 +95,7 @@ const SAME: f64 = 1e-4;
 /// # Errors
 /// Returns [`HoldingError`] if there is no such goal or the problem's stop signal is raised.
 pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError> {
-    let target = Target {
+    let target = HeldTarget {
         node: problem.goal_node(),
         position: problem.final_goals().find_map(|goal| goal.position),
         rotation: problem.final_goals().find_map(|goal| goal.rotation),
@@ -116,7 +116,7 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
     let time = problem.grid.duration();
     // The springs of taut winches are no measure of the arm.
     let without_springs = Winches::of(problem).map(|winches| winches.by_tensions().rod);
-    let statics = Statics {
+    let statics = HoldingStatics {
         unit: own_squared_frequency(without_springs.as_ref().unwrap_or(rod)),
         ends: (components.iter())
             .map(|component| ends::ends(problem, component))
@@ -159,7 +159,7 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
 }
 
 /// Returns the verdict for a free arm: its stress-free shape at the target, with no wrench.
-fn floating(statics: &Statics, target: Target) -> Holding {
+fn floating(statics: &HoldingStatics, target: HeldTarget) -> Holding {
     let rod = &statics.problem.rod;
     let (Some(place), Some(pose)) = (target.position, target.rotation) else {
         return Holding::NotFound {
@@ -219,9 +219,9 @@ fn end_moves_after(rod: &Rod, node: usize, t: f64) -> Option<f64> {
 }
 
 struct Search<'a> {
-    statics: &'a Statics<'a>,
+    statics: &'a HoldingStatics<'a>,
     limits: HeldLimits<'a>,
-    target: Target,
+    target: HeldTarget,
     /// Shape at which the search begins.
     start: Configuration,
 }

@@ -67,7 +67,7 @@ pub use advice::{Observation, observe};
 pub use attempt::SolveLog;
 pub use attempt::{Abandoned, Attempt};
 pub use feedback::{
-    Feedback, FeedbackError, FeedbackWeights, ModelMismatch, Quantity, TipDeviation,
+    Feedback, FeedbackError, FeedbackWeights, ModelMismatch, ModelQuantity, TipDeviation,
     block_transitions,
 };
 pub use guess::{Guess, GuessError, first_point, simulated};
@@ -75,7 +75,7 @@ pub use held::Held;
 pub use hold::{ControlGrid, Hold};
 pub use holding::{CannotHold, Holding, HoldingError, NotFound, holding};
 #[doc(hidden)]
-pub use holding::{ControlsAlong, Target as HeldTarget};
+pub use holding::{ControlsAlong, HeldTarget};
 #[doc(hidden)]
 pub use journal::{Listener, SearchEvent};
 pub use mechanics::solid::{Shape, SignedDistance};

@@ -9,8 +9,8 @@ use super::state_tangent::StateTangent;
 /// Positions (m) and rotations of all nodes.
 pub type Poses<'a> = (&'a [Vector3<f64>], &'a [Matrix3<f64>]);
 
-/// Position (m) and rotation of one node.
-pub type NodePose = (Vector3<f64>, Matrix3<f64>);
+/// Position (m) and rotation, body to space, of an end.
+pub type EndPose = (Vector3<f64>, Matrix3<f64>);
 
 /// Position and rotation of every node.
 #[derive(Debug, PartialEq)]
@@ -29,7 +29,7 @@ impl Configuration {
     }
 
     /// Carries all nodes along as a rigid body that moves from one pose to another: `x' + R' Rᵀ (x_q - x)` and `R' Rᵀ R_q`.
-    pub fn carry(&mut self, from: NodePose, to: NodePose) {
+    pub fn carry(&mut self, from: EndPose, to: EndPose) {
         let turn = to.1 * from.1.transpose();
         for (x, r) in self.positions.iter_mut().zip(&mut self.rotations) {
             *x = to.0 + turn * (*x - from.0);
@@ -38,7 +38,7 @@ impl Configuration {
     }
 
     /// Carries all nodes along, as a rigid body with node 0, to where this one has a pose, without rounding there.
-    pub fn carry_base(&mut self, to: NodePose) {
+    pub fn carry_base(&mut self, to: EndPose) {
         self.carry((self.positions[0], self.rotations[0]), to);
         (self.positions[0], self.rotations[0]) = to;
     }

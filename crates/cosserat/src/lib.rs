@@ -102,7 +102,7 @@ pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile, SectionSegment,
 };
-pub use shape::Shape;
+pub use shape::Outline;
 pub use signal::{ControlSignal, Efforts, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;

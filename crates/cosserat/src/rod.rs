@@ -16,7 +16,7 @@ use self::contact::Contact;
 use self::pose_actuator::{OfPose, PoseActuator, Span};
 use self::strain_actuator::{RodActuators, StrainActuator};
 use super::base_motion::BaseState;
-use super::configuration::{Configuration, NodePose, State};
+use super::configuration::{Configuration, EndPose, State};
 use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::ends::{EndCondition, Joint};
@@ -269,11 +269,11 @@ pub struct Rod {
     /// Length of every element's chord in the stress-free configuration, m.
     pub rest_chords: Vec<f64>,
     /// Pose relative to which a driven base moves: position, m, and rotation, body to space.
-    pub base_reference: NodePose,
+    pub base_reference: EndPose,
     /// The condition at the tip, node `K`.
     pub tip_end: EndCondition,
     /// Pose in which the tip is held, or relative to which a driven tip moves: position, m, and rotation, body to space.
-    pub tip_reference: NodePose,
+    pub tip_reference: EndPose,
     /// The held ends that have a place among the moving nodes.
     pub joints: Vec<Joint>,
     /// Stress-free configuration, starting at the base pose (at t = 0).

@@ -1,6 +1,6 @@
 //! Materials, cross-sections, and how sections change along the arm.
 
-use super::shape::Shape;
+use super::shape::Outline;
 use nalgebra::Vector3;
 
 /// Stiffness and inertia of a cross-section, per unit of rest length.
@@ -55,13 +55,13 @@ impl Section {
     /// Returns the section of a full circle of radius `radius` (m): `A = π r²`, `I = π r⁴/4`, `J = 2 I`.
     #[must_use]
     pub fn circle(material: &Material, radius: f64) -> Self {
-        Self::of_shape(material, &Shape::Circle { radius })
+        Self::of_shape(material, &Outline::Circle { radius })
     }
 
     /// Returns the section of a shape: `E A`, `k G A`, `E I` and St Venant's `G J`, and the inertia `ρ A`, `ρ I₁`, `ρ I₂` and, about the
     /// axis of the rod, `ρ (I₁ + I₂)`.
     #[must_use]
-    pub fn of_shape(material: &Material, shape: &Shape) -> Self {
+    pub fn of_shape(material: &Material, shape: &Outline) -> Self {
         let area = shape.area();
         let [first, second] = shape.second_moments();
         let shear = material.shear_factor * material.shear_modulus * area;

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 /// The outline of a cross-section. Its center is on the axis of the rod, its principal axes are the first two axes of the body frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Shape {
+pub enum Outline {
     /// A full circle.
     Circle {
         /// Radius, m.
@@ -33,7 +33,7 @@ pub enum Shape {
     },
 }
 
-impl Shape {
+impl Outline {
     /// Returns the area, m².
     #[must_use]
     pub fn area(&self) -> f64 {

@@ -50,7 +50,7 @@ pub type InertiaCurvature = SMatrix<f64, 6, 6>;
 /// Multipliers of the equations of motion, as [`adjoint`](super::sensitivity::adjoint) takes and
 /// returns them for the same motion and trajectory; unit: that of the functional per unit of momentum.
 #[derive(Clone, Copy, Debug)]
-pub struct Multipliers<'a> {
+pub struct MotionMultipliers<'a> {
     /// Covectors `λ_k` of the rows and, as `λ_N`, of the terminal momenta.
     pub adjoint: &'a AdjointSweep,
     /// Second derivatives of costs and constraints themselves, in ascending order of time.
@@ -79,7 +79,7 @@ pub(super) fn own_within(own: &[OwnCurvature], range: std::ops::Range<usize>) ->
     &own[before(range.start)..before(range.end)]
 }
 
-impl Multipliers<'_> {
+impl MotionMultipliers<'_> {
     /// `(λx, λr)` of rod node `q` at time node `k`; zero where the node is held.
     pub(super) fn at(&self, motion: &Motion, k: usize, q: usize) -> (Vector3<f64>, Vector3<f64>) {
         let row = k * motion.rod.n_nodes() + q;
@@ -134,7 +134,7 @@ pub struct StressCurvature {
 pub fn load_curvatures(
     motion: &Motion,
     trajectory: &Trajectory,
-    multipliers: &Multipliers,
+    multipliers: &MotionMultipliers,
     k: usize,
 ) -> Vec<NodeCurvature> {
     let weight = motion.kick(k).weight;
@@ -171,7 +171,7 @@ pub fn resistance_curvatures(
     if rod.resistances.is_empty() {
         return out;
     }
-    let multipliers = Multipliers { adjoint, own: &[] };
+    let multipliers = MotionMultipliers { adjoint, own: &[] };
     let unit = |at: usize, size: f64| {
         let mut form = vec![0.0; 6];
         form[at] = size;

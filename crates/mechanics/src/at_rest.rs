@@ -151,7 +151,7 @@ pub type RodsBeside = Vec<([Rod; 2], f64)>;
 
 /// A shape at rest.
 #[derive(Clone, Debug)]
-pub struct AtRest {
+pub struct ShapeAtRest {
     /// The shape.
     pub shape: Configuration,
     /// Derivatives of the tip's position along every input, m per unit of the input, where they are wanted and the shape has any.
@@ -173,7 +173,7 @@ pub fn shapes_at_rest(
     wanted: Wanted,
     n_threads: usize,
     stop: &StopSignal,
-) -> Result<Vec<AtRest>, (usize, EquilibriumError)> {
+) -> Result<Vec<ShapeAtRest>, (usize, EquilibriumError)> {
     let n = rod.actuators.len().max(1);
     let rod = |row: usize| Ok((rod.with_inputs(&inputs[n * row..][..n]), Vec::new()));
     shapes_of_rods(&rod, inputs.len() / n, wanted, (n_threads, stop))
@@ -189,12 +189,12 @@ pub fn shapes_of_rods<E: From<(usize, EquilibriumError)> + Send>(
     n_rows: usize,
     wanted: Wanted,
     (n_threads, stop): (usize, &StopSignal),
-) -> Result<Vec<AtRest>, E> {
+) -> Result<Vec<ShapeAtRest>, E> {
     in_runs(n_rows, n_threads, &|row, near| {
         let (rod, beside) = &rod_of(row)?;
         let inputs = &rod.actuators.efforts(0.0)[..];
         let shape = shape_near(rod, near, stop).map_err(|error| (row, error))?;
-        let found = AtRest {
+        let found = ShapeAtRest {
             jacobian: (wanted.jacobian)
                 .then(|| tip_jacobian(rod, &shape, inputs))
                 .flatten(),

@@ -57,7 +57,7 @@ fn six(a: Vector3<f64>, b: Vector3<f64>) -> Vector6<f64> {
 /// The wrench on the node that follows, spatial force (N) and moment in the body frame (N m), that keeps a model at the poses of a
 /// reference.
 #[derive(Clone, Debug)]
-pub struct Holding {
+pub struct HoldingWrenches {
     /// Wrenches at multiples of `spacing` from time 0 on.
     wrenches: Vec<Vector6<f64>>,
     /// Shape at time 0.
@@ -189,7 +189,7 @@ const NUDGE: f64 = 1e-4;
 /// Cap on the duration of a reference along which statics are computed, s.
 const LONGEST: f64 = 600.0;
 
-impl Holding {
+impl HoldingWrenches {
     /// Returns the wrenches along `reference`, a pose of a node at every time up to an end, from near the shape `start`; the two times are
     /// the spacing of the wrenches and that end, s. `None` if the reference is longer than [`LONGEST`], and if `stop` is raised.
     pub fn along(

@@ -27,7 +27,7 @@ const BEGIN: f64 = 0.9;
 const SHORTEST: f64 = 1e-10;
 
 /// A row of `A` with its few entries.
-pub type Row = [(usize, f64); 2];
+pub type SparseRow = [(usize, f64); 2];
 
 /// The set of consecutive rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,7 +124,7 @@ pub struct Subproblem {
     /// `H`, symmetric.
     pub hessian: Mat<f64>,
     /// `A`, row by row.
-    pub rows: Vec<Row>,
+    pub rows: Vec<SparseRow>,
     /// Value of every row, without its offset, in the middle of its set.
     pub middles: Vec<f64>,
     /// Sets of the rows, one after the other.
@@ -451,7 +451,7 @@ impl Subproblem {
 }
 
 /// Writes the values `a + A x` of some rows of `A`.
-pub fn values(rows: &[Row], a: &[f64], x: &[f64], out: &mut [f64]) {
+pub fn values(rows: &[SparseRow], a: &[f64], x: &[f64], out: &mut [f64]) {
     for ((out, a), row) in out.iter_mut().zip(a).zip(rows) {
         *out = a + row.iter().map(|(j, c)| c * x[*j]).sum::<f64>();
     }

@@ -58,11 +58,11 @@ pub use reading::{Unreadable, open_regular, read_regular};
 pub use report::Columns;
 #[doc(hidden)]
 pub use report::{
-    ArrowKind, Bound, Facts, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
+    ArrowKind, Facts, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportBound, ReportChart,
     ReportCheck, ReportClock, ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy,
-    ReportField, ReportFields, ReportIteration, ReportMark, ReportMotion, ReportObstacle,
-    ReportObstacles, ReportPath, ReportRoute, ReportSensitivity, ReportShape, ReportTable,
-    ReportTarget, ReportVerdict, ReportVia, Words, figure, render_report,
+    ReportField, ReportFields, ReportHold, ReportIteration, ReportMark, ReportMotion,
+    ReportObstacle, ReportObstacles, ReportPath, ReportRoute, ReportSensitivity, ReportShape,
+    ReportTable, ReportTarget, ReportVerdict, ReportVia, Words, figure, render_report,
 };
 #[doc(hidden)]
 pub use report::{

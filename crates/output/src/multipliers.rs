@@ -106,7 +106,7 @@ const LARGEST_ENTRY: u64 = 1 << 6;
 ///
 /// # Errors
 /// Returns [`OutputError`] if the file cannot be read or is not a file of multipliers.
-/// [`Solution::validate`](verify::Solution::validate) checks whether these belong to the problem.
+/// [`Claim::validate`](verify::Claim::validate) checks whether these belong to the problem.
 pub fn read_multipliers(
     path: &Path,
     problem: &OptimalControlProblem,

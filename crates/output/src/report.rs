@@ -450,7 +450,7 @@ pub enum ReportShape {
 /// The course of a control between its values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Hold {
+pub enum ReportHold {
     /// Constant on each block.
     Constant,
     /// Linear from knot to knot.
@@ -460,7 +460,7 @@ pub enum Hold {
 /// A limit on a force or a moment.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Bound {
+pub enum ReportBound {
     /// A limit on the Euclidean norm.
     Norm(f64),
     /// A limit on the magnitude of each component.
@@ -473,7 +473,7 @@ pub enum Bound {
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportControls {
     /// The course between the values.
-    pub hold: Hold,
+    pub hold: ReportHold,
     /// Times in seconds: the `m + 1` edges of the blocks (constant), or the `m` knots (linear).
     pub t: Vec<f64>,
     /// `[m]` forces in newtons, spatial frame.
@@ -481,9 +481,9 @@ pub struct ReportControls {
     /// `[m]` moments in newton meters, body frame.
     pub moment: Vec<[f64; 3]>,
     /// Limit on the force.
-    pub force_bound: Option<Bound>,
+    pub force_bound: Option<ReportBound>,
     /// Limit on the moment.
-    pub moment_bound: Option<Bound>,
+    pub moment_bound: Option<ReportBound>,
 }
 
 /// Energies over time, in joules.

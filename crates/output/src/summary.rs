@@ -575,7 +575,7 @@ pub struct Reached {
 
 /// The part of a summary that follows from the regulator.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Sensitivities {
+pub struct RegulatorFacts {
     /// Growth of perturbations without feedback, in the norm of their energy; absent if no gains were computed.
     pub open_loop_sensitivity: Option<SensitivitySummary>,
     /// Growth of perturbations with feedback, in the same norm; absent if no gains were computed.
@@ -654,7 +654,7 @@ pub struct SolveSummary {
     pub steps_per_row: Option<usize>,
     /// Growth of perturbations.
     #[serde(flatten)]
-    pub sensitivities: Sensitivities,
+    pub sensitivities: RegulatorFacts,
     /// Final positions of the tip on arms that differ from the model, with and without the gains; absent if no gains were computed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub model_mismatch: Vec<ModelMismatch>,

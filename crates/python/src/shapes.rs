@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Numbers, numbers};
 use super::{interruptibly, raise, read, scene_error};
-use softarm::mechanics::at_rest::{AtRest, RodsBeside, Wanted, shapes_of_rods};
+use softarm::mechanics::at_rest::{RodsBeside, ShapeAtRest, Wanted, shapes_of_rods};
 use softarm::mechanics::{EquilibriumError, Rod, TrajectoryTangent};
 use softarm::scene::{Scene, SceneError};
 
@@ -160,7 +160,7 @@ pub(super) fn shapes<'py>(
     let r = Array4::from_shape_fn((n, n_nodes, 3, 3), |(row, q, i, j)| {
         found[row].shape.rotations[q][(i, j)]
     });
-    let slope = |own: &AtRest, i: usize, j: usize| {
+    let slope = |own: &ShapeAtRest, i: usize, j: usize| {
         own.jacobian
             .as_ref()
             .map_or(f64::NAN, |slopes| slopes[j][i])

@@ -288,7 +288,7 @@ pub enum Condition {
 
 /// The part of a condition's multiplier that the terms for active conditions stand for.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pull {
+pub struct HeldMultiplier {
     /// The condition.
     pub condition: Condition,
     /// Multiplier that the terms add to its own.
@@ -369,7 +369,7 @@ impl HeldTerms {
     /// same step without the terms, as for an augmented Lagrangian (Nocedal and Wright 2006, equation 17.39). They vanish where the step
     /// meets all conditions with equality.
     #[must_use]
-    pub fn pulls(&self, change: &[f64]) -> Vec<Pull> {
+    pub fn pulls(&self, change: &[f64]) -> Vec<HeldMultiplier> {
         let m = self.target.len();
         let size = norm(change);
         let (mut forces, mut noises) = (vec![0.0; m], vec![0.0; m]);
@@ -381,7 +381,7 @@ impl HeldTerms {
             noises[j] = self.sigma * EXACT * (size + self.target[j].abs());
         }
         (self.conditions.iter().enumerate())
-            .map(|(i, condition)| Pull {
+            .map(|(i, condition)| HeldMultiplier {
                 condition: condition.clone(),
                 multiplier: (0..m).map(|j| self.combination[(i, j)] * forces[j]).sum(),
                 own: self.combination[(i, i)] * forces[i],

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 /// A clock of the processor time of this process, all threads together; of wall time if the system does not report it.
 #[derive(Clone, Copy, Debug)]
-pub struct Clock {
+pub struct ProcessorClock {
     wall: Instant,
     processor: Option<f64>,
 }
@@ -18,7 +18,7 @@ pub struct Seconds {
     pub processor: f64,
 }
 
-impl Clock {
+impl ProcessorClock {
     /// Starts a clock.
     pub fn start() -> Self {
         Self {

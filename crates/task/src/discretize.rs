@@ -21,7 +21,7 @@ use control::{
 use mechanics::stability::{automatic_step, stable_step};
 use mechanics::{Rod, RodError, RodModel, RotaryInertia, State, TimeGrid, TimeScheme, Trajectory};
 use stop::StopSignal;
-use verify::{CheckError, CheckLimits, ForwardCheck, Solution, Variant, forward_check};
+use verify::{CheckError, CheckLimits, Claim, ForwardCheck, Variant, forward_check};
 
 /// Largest number of steps; more would run for days.
 pub const MOST_STEPS: f64 = 1e10;
@@ -511,7 +511,7 @@ impl Problem {
     /// [`CheckError`] when a replay cannot be made.
     pub fn certify(
         &self,
-        solution: &Solution,
+        solution: &Claim,
         limits: &CheckLimits,
     ) -> Result<ForwardCheck, CheckError> {
         forward_check(

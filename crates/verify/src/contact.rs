@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::bodies::distance;
 use super::refinement::Level;
 use super::worse::worse;
-use super::{CheckError, ReplayKind, Solution, Variant};
+use super::{CheckError, Claim, ReplayKind, Variant};
 use control::OptimalControlProblem;
 use mechanics::{Rod, RodError, State, Touch, Trajectory};
 
@@ -180,7 +180,7 @@ fn deepest(touch: &Touch, start: f64, [a, b]: [&Vector3<f64>; 2], known: f64) ->
 pub(super) fn examine(
     problem: &OptimalControlProblem,
     variant: &dyn Fn(Variant) -> Result<(Rod, State), RodError>,
-    solution: &Solution,
+    solution: &Claim,
     replayed: &Trajectory,
     half_end: &State,
 ) -> Result<Option<ContactCheck>, CheckError> {

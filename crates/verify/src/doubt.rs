@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::criteria::BETWEEN;
 use super::limits::{Measure, Pose, is_watched};
 use super::refinement::{Watch, stable_factor};
-use super::{CheckError, Solution, refined_grid, refined_signal};
+use super::{CheckError, Claim, refined_grid, refined_signal};
 use control::OptimalControlProblem;
 use mechanics::threads::on_threads;
 use mechanics::{Rod, State, Stepper};
@@ -102,7 +102,7 @@ struct Motion {
 /// [`CheckError`] for a solution that does not belong to the problem, and if a stop signal ends the replays.
 pub fn replay_on_plants(
     problem: &OptimalControlProblem,
-    solution: &Solution,
+    solution: &Claim,
     plants: &Plants,
 ) -> Result<UnderDoubt, CheckError> {
     solution.validate(problem)?;
@@ -187,7 +187,7 @@ impl Margins {
     /// As [`replay_on_plants`].
     pub fn of(
         problem: &OptimalControlProblem,
-        solution: &Solution,
+        solution: &Claim,
         plants: &Plants,
         share: f64,
     ) -> Result<Self, CheckError> {
@@ -271,7 +271,7 @@ fn tolerances(problem: &OptimalControlProblem) -> Vec<f64> {
 /// Computes the motion of a plant; `None` if it breaks down.
 fn move_plant(
     problem: &OptimalControlProblem,
-    solution: &Solution,
+    solution: &Claim,
     rod: &Rod,
     start: State,
     with_rows: bool,

@@ -4,7 +4,7 @@ use super::hold::{self, Spline};
 use super::kkt::controls::{control_cost, vectors};
 use super::kkt::motion::Conditions;
 use super::probe::{Motion, roll_out};
-use super::{CheckError, Solution};
+use super::{CheckError, Claim};
 use control::{Bound, OptimalControlProblem, PlacedChannel};
 use mechanics::differences;
 
@@ -19,7 +19,7 @@ const AT_LIMIT: f64 = 1e-6;
 /// Controls and multipliers are constant, and the motion follows the controls: the solver's linearization is not used.
 pub(super) fn examine(
     problem: &OptimalControlProblem,
-    solution: &Solution,
+    solution: &Claim,
 ) -> Result<Option<f64>, CheckError> {
     let Some(free) = problem.duration else {
         return Ok(None);
@@ -54,7 +54,7 @@ const N_TERMS: usize = 7;
 /// Returns the terms of the Lagrangian with the solution's controls and multipliers over `time_scale` times the duration.
 fn terms(
     problem: &OptimalControlProblem,
-    solution: &Solution,
+    solution: &Claim,
     time_scale: f64,
 ) -> Result<[f64; N_TERMS], CheckError> {
     let problem = &problem.with_time_scale(time_scale);
@@ -84,7 +84,7 @@ fn terms(
 }
 
 /// Returns `Σ z·command`: the term of the bounds on commands whose value changes with the duration.
-fn commanded(problem: &OptimalControlProblem, solution: &Solution) -> f64 {
+fn commanded(problem: &OptimalControlProblem, solution: &Claim) -> f64 {
     let spline = Spline::of(problem);
     let n = problem.channels.len();
     let normals = vectors(problem, solution.multipliers.commands);

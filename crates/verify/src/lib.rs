@@ -53,13 +53,13 @@ pub use self::criteria::{CheckItem, CheckLimits};
 use self::doubt::UnderDoubt;
 use self::growth::Growth;
 use self::kkt::KktPart;
-use self::momentum::MomentumBalance;
+use self::momentum::MomentumDefect;
 use self::probe::Probe;
 use self::refinement::{Between, PeakStrains, TipMotion, refine};
 pub use self::replay::{EnergyAccount, EnergyBalance, Replay, replay};
 use self::replay::{Simulation, account};
 use self::second_order::{Extremum, SecondOrder};
-pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
+pub use self::solution::{Claim, SolutionError, SolutionMultipliers};
 pub use self::standing::HeldGrowth;
 pub use self::stay::StayReplay;
 pub use self::stepper::ReferenceStepper;
@@ -108,7 +108,7 @@ pub struct ForwardCheck {
     /// Work in, change of energy and dissipation of the replay.
     pub energy: EnergyAccount,
     /// Momentum balance of the replay.
-    pub momentum: MomentumBalance,
+    pub momentum: MomentumDefect,
     /// Curvature of the Lagrangian; absent until [`Self::deepen`].
     #[serde(skip)]
     pub second_order: Option<SecondOrder>,
@@ -165,7 +165,7 @@ impl ForwardCheck {
     pub fn deepen(
         &mut self,
         problem: &OptimalControlProblem,
-        solution: &Solution,
+        solution: &Claim,
     ) -> Result<(), CheckError> {
         solution.validate(problem)?;
         // Differences cross the kink of a tendon that is barely taut.
@@ -354,11 +354,11 @@ impl Variant {
 /// which it starts.
 ///
 /// # Errors
-/// Returns [`CheckError`] if a replay breaks down, and for a solution that does not [belong](Solution::validate) to the problem.
+/// Returns [`CheckError`] if a replay breaks down, and for a solution that does not [belong](Claim::validate) to the problem.
 pub fn forward_check(
     problem: &OptimalControlProblem,
     variant: &dyn Fn(Variant) -> Result<(Rod, State), RodError>,
-    solution: &Solution,
+    solution: &Claim,
     limits: &CheckLimits,
 ) -> Result<ForwardCheck, CheckError> {
     problem.stop.check()?;
@@ -374,7 +374,7 @@ pub fn forward_check(
     let control = hold::signal(problem, 1, solution.coefficients);
     let [same_grid, same_grid_turn] = distances(solution.trajectory, &same.trajectory);
     let strains = PeakStrains::of(&problem.rod, &same.trajectory, &problem.stop);
-    let momentum = MomentumBalance::of(problem, &same.trajectory, &control);
+    let momentum = MomentumDefect::of(problem, &same.trajectory, &control);
     problem.stop.check()?;
     let half = replay_on(problem, solution, 2, ReplayKind::ShorterSteps)?;
     let mut contact = contact::examine(problem, variant, solution, &same.trajectory, &half.end)?;
@@ -433,7 +433,7 @@ pub fn forward_check(
 /// Replays a solution on its grid, whose trajectory is kept, or on one whose steps are `factor` times shorter.
 fn replay_on(
     problem: &OptimalControlProblem,
-    solution: &Solution,
+    solution: &Claim,
     factor: usize,
     which: ReplayKind,
 ) -> Result<Replay, CheckError> {
@@ -481,7 +481,7 @@ fn refined_signal(
     problem: &OptimalControlProblem,
     factor: usize,
     rod: &Rod,
-    solution: &Solution,
+    solution: &Claim,
 ) -> ControlSignal {
     let mut signal = hold::signal(problem, factor, solution.coefficients);
     for node in &mut signal.nodes {

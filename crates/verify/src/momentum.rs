@@ -22,7 +22,7 @@ use mechanics::{ControlSignal, Rod, TimeScheme, Trajectory, Wrench};
 
 /// By how much a motion misses the balance of momentum over its worst step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct MomentumBalance {
+pub struct MomentumDefect {
     /// N s
     #[serde(rename = "linear_n_s")]
     pub linear: f64,
@@ -39,7 +39,7 @@ pub struct MomentumBalance {
 /// Rounding of a sum of a few terms, each accurate to a few units in the last place.
 const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
 
-impl MomentumBalance {
+impl MomentumDefect {
     /// Computes the balance of a motion under a control.
     #[must_use]
     pub fn of(

@@ -8,7 +8,7 @@ use super::kkt::controls::{ActiveBound, ControlConditions, control_cost, pull_ba
 use super::kkt::functional::AT_LIMIT;
 use super::kkt::motion::Conditions;
 use super::limits::Pose;
-use super::{CheckError, ReplayKind, Solution, SolutionMultipliers, samples};
+use super::{CheckError, Claim, ReplayKind, SolutionMultipliers, samples};
 use control::{OptimalControlProblem, PathEnforcement, PathMultiplier};
 use mechanics::{State, Stepper, Trajectory};
 
@@ -70,7 +70,7 @@ pub(super) fn roll_out(
 }
 
 impl<'a> Probe<'a> {
-    pub(super) fn new(problem: &'a OptimalControlProblem, solution: &Solution<'a>) -> Self {
+    pub(super) fn new(problem: &'a OptimalControlProblem, solution: &Claim<'a>) -> Self {
         let mut out = Self {
             problem,
             terms: Vec::new(),

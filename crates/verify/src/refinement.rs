@@ -8,7 +8,7 @@ use super::limits::{Measure, Pose, is_watched};
 use super::standing::{Fastest, Held, HeldGrowth, reach_at_rest};
 use super::stay::{StayReplay, follow};
 use super::worse::worse;
-use super::{CheckError, ReplayKind, Solution, Variant, refined_grid, refined_signal};
+use super::{CheckError, Claim, ReplayKind, Variant, refined_grid, refined_signal};
 use control::{OptimalControlProblem, PathLimit};
 use mechanics::stability::{bent_step, stable_step};
 use mechanics::{
@@ -140,7 +140,7 @@ pub(super) struct Level<'a> {
 impl<'a> Level<'a> {
     pub(super) fn new(
         problem: &OptimalControlProblem,
-        solution: &Solution,
+        solution: &Claim,
         rod: &'a Rod,
         start: State,
         factor: usize,
@@ -213,7 +213,7 @@ const IN_TIME: [usize; 3] = [1, 2, 4];
 pub fn refine(
     problem: &OptimalControlProblem,
     variant: &dyn Fn(Variant) -> Result<(Rod, State), RodError>,
-    solution: &Solution,
+    solution: &Claim,
     end: &State,
 ) -> Result<Refinement, CheckError> {
     let step = problem.grid.step;

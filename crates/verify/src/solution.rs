@@ -8,7 +8,7 @@ use mechanics::Trajectory;
 
 /// A solution to check, as a result directory holds it.
 #[derive(Clone, Copy, Debug)]
-pub struct Solution<'a> {
+pub struct Claim<'a> {
     /// Configurations at every time node.
     pub trajectory: &'a Trajectory,
     /// Coefficients of the controls, the [numbers](OptimalControlProblem::n_numbers) of each one after the other.
@@ -57,7 +57,7 @@ pub struct SolutionError {
     pub expected: String,
 }
 
-impl Solution<'_> {
+impl Claim<'_> {
     /// Checks that counts and indices are those of the problem, no row has two multipliers, and all numbers are finite.
     ///
     /// # Errors
@@ -80,7 +80,7 @@ impl Solution<'_> {
 }
 
 impl SolutionMultipliers<'_> {
-    /// Checks the multipliers as [`Solution::validate`] does.
+    /// Checks the multipliers as [`Claim::validate`] does.
     ///
     /// # Errors
     /// Returns a [`SolutionError`] for the first that does not belong to the problem.

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Number, Positive, digits};
-use crate::mechanics::Shape;
+use crate::mechanics::Outline;
 
 /// The section of the rod. A circle has `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`, or their
 /// diameters; a ring has its outer and its inner radius or diameter; a rectangle and an ellipse have `width_m` and
@@ -131,7 +131,7 @@ pub struct Inertia {
 
 impl Section {
     /// Shapes at the base and at the tip.
-    pub fn shapes(&self) -> Option<[Shape; 2]> {
+    pub fn shapes(&self) -> Option<[Outline; 2]> {
         let [uniform, base, tip, inner] = [
             (self.radius_m, self.diameter_m),
             (self.radius_base_m, self.diameter_base_m),
@@ -148,18 +148,18 @@ impl Section {
                 (None, Some(base), Some(tip)) => [base, tip],
                 _ => return None,
             }
-            .map(|radius| Shape::Circle { radius }),
+            .map(|radius| Outline::Circle { radius }),
             ShapeKey::Ring => {
-                [Shape::Ring {
+                [Outline::Ring {
                     radius: uniform?,
                     inner_radius: inner?,
                 }; 2]
             }
             ShapeKey::Rectangle => {
-                edges().map(|[width, height]| [Shape::Rectangle { width, height }; 2])?
+                edges().map(|[width, height]| [Outline::Rectangle { width, height }; 2])?
             }
             ShapeKey::Ellipse => {
-                edges().map(|[width, height]| [Shape::Ellipse { width, height }; 2])?
+                edges().map(|[width, height]| [Outline::Ellipse { width, height }; 2])?
             }
         })
     }
@@ -238,7 +238,7 @@ impl Keys<'_> {
         }
         if let Some(
             [
-                Shape::Ring {
+                Outline::Ring {
                     radius,
                     inner_radius,
                 },

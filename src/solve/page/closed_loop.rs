@@ -233,9 +233,9 @@ fn controls(setup: &ClosedLoopSetup, samples: &[&SampleRow]) -> ReportControls {
     }
     ReportControls {
         hold: if is_constant {
-            output::Hold::Constant
+            output::ReportHold::Constant
         } else {
-            output::Hold::Linear
+            output::ReportHold::Linear
         },
         t,
         force: samples.iter().map(|sample| sample.force).collect(),

@@ -203,11 +203,13 @@ fn paths(problem: &OptimalControlProblem, record: &MotionRecord) -> Vec<ReportPa
 /// Points per block of a spline in a drawing.
 const SPLINE_POINTS: usize = 8;
 
-pub(super) fn drawn_bound(bound: &Option<Bound>) -> Option<output::Bound> {
+pub(super) fn drawn_bound(bound: &Option<Bound>) -> Option<output::ReportBound> {
     bound.as_ref().map(|bound| match bound {
-        Bound::Norm(limit) => output::Bound::Norm(*limit),
-        Bound::PerAxis(limits) => output::Bound::Axes((*limits).into()),
-        Bound::Between { lower, upper } => output::Bound::Between((*lower).into(), (*upper).into()),
+        Bound::Norm(limit) => output::ReportBound::Norm(*limit),
+        Bound::PerAxis(limits) => output::ReportBound::Axes((*limits).into()),
+        Bound::Between { lower, upper } => {
+            output::ReportBound::Between((*lower).into(), (*upper).into())
+        }
     })
 }
 
@@ -219,9 +221,9 @@ fn controls(problem: &OptimalControlProblem, coefficients: &[f64]) -> Option<Rep
     let (hold, t, wrenches): (_, Vec<f64>, Vec<Wrench>) = match control.hold {
         Hold::Constant | Hold::Linear => (
             if control.hold == Hold::Constant {
-                output::Hold::Constant
+                output::ReportHold::Constant
             } else {
-                output::Hold::Linear
+                output::ReportHold::Linear
             },
             control.edge_times(),
             (problem.wrenches(coefficients).into_iter().step_by(n)).collect(),
@@ -231,7 +233,7 @@ fn controls(problem: &OptimalControlProblem, coefficients: &[f64]) -> Option<Rep
             let points = (SPLINE_POINTS * control.n_blocks()).min(last);
             let nodes = || (0..=points).map(|i| i * last / points);
             (
-                output::Hold::Linear,
+                output::ReportHold::Linear,
                 nodes().map(|k| problem.grid.time(k)).collect(),
                 {
                     let all = problem.signal(control, coefficients).wrenches;

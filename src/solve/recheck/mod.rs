@@ -31,7 +31,7 @@ use crate::output::{
 };
 use crate::scene::OptimalControl;
 use crate::stop::Stop;
-use crate::verify::{CheckError, ForwardCheck, Solution};
+use crate::verify::{CheckError, Claim, ForwardCheck};
 
 /// Why a saved solution cannot be checked again.
 #[derive(Debug, thiserror::Error)]
@@ -195,8 +195,8 @@ impl<'a> SavedSolution<'a> {
     }
 
     /// The solution in the form that the check reads.
-    fn claim(&self) -> Solution<'_> {
-        Solution {
+    fn claim(&self) -> Claim<'_> {
+        Claim {
             trajectory: &self.trajectory,
             coefficients: &self.coefficients,
             multipliers: self.multipliers.borrowed(),

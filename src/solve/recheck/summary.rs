@@ -12,7 +12,7 @@ use super::file_check::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::{Feedback, OptimalControlProblem};
 use crate::mechanics::Trajectory;
 use crate::output::json_value;
-use crate::output::summary::{ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities, was_checked};
+use crate::output::summary::{ProblemFacts, Reached, RegulatorFacts, SCHEMA_VERSION, was_checked};
 use crate::solve::summary::{problem_facts, reached, sensitivities};
 use crate::verify::{CheckLimits, ForwardCheck};
 
@@ -59,7 +59,7 @@ struct Recomputed {
     #[serde(flatten)]
     reached: Reached,
     #[serde(flatten)]
-    sensitivities: Option<Sensitivities>,
+    sensitivities: Option<RegulatorFacts>,
     hessian: &'static str,
     #[serde(flatten)]
     facts: ProblemFacts,

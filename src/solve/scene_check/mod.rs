@@ -23,7 +23,7 @@ use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
 use crate::mechanics::{NodeSpring, Place, Rod, TimeGrid, nearby_equilibrium_until};
-use crate::memory::{Estimate, of_simulation, of_solve};
+use crate::memory::{MemoryEstimate, of_simulation, of_solve};
 use crate::output::quantity::{digits, quantity};
 use crate::output::summary::{
     ActuatorSummary, CheckSummary, MaterialSummary, OutputSize, ProblemSize, RestSummary,
@@ -150,7 +150,7 @@ struct Run {
     size: Option<ProblemSize>,
     /// Size of the output of a simulation.
     output: Option<OutputSize>,
-    memory: Estimate,
+    memory: MemoryEstimate,
     /// `None` for a simulation.
     plan: Option<Plan>,
     /// The warning that a simulated arm stands only by symmetry; `None` if it does not, or for a solve.

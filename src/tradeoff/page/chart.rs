@@ -47,7 +47,7 @@ pub fn color_of(index: usize) -> &'static str {
 }
 
 /// Points that belong together.
-pub struct Curve<'a> {
+pub(crate) struct Curve<'a> {
     /// Name in the legend.
     pub name: String,
     /// Points in the order of the line through them.

@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::super::course::Errors;
 use super::lines::{Line, Measure};
 use super::{
-    Fate, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work, fit,
+    Fate, Models, Point, Recommendation, Setting, SweepError, SweepReference, Tradeoff, Work, fit,
 };
 use crate::mechanics::RodModel;
 use crate::mpc::{Contender, Outcome};
@@ -188,13 +188,13 @@ impl Work<'_, '_> {
     }
 
     /// Runs the scene's own loop around a plant with twice the elements, which shows how much the error depends on the plant's elements.
-    fn loop_reference(&mut self, usual: &Setting, duration: f64) -> Option<Reference> {
+    fn loop_reference(&mut self, usual: &Setting, duration: f64) -> Option<SweepReference> {
         let own = self.points.first()?.error?;
         let finer = self.looped(usual, Some(duration), 2).ok()?;
         let scene = self.sweep.scene;
         let plant = (scene.plant.as_ref()).and_then(|plant| plant.elements);
         let errors = finer.errors?;
-        Some(Reference {
+        Some(SweepReference {
             elements: 2 * plant.unwrap_or(scene.rod.elements),
             step_s: f64::NAN,
             order: None,
@@ -294,7 +294,7 @@ impl Work<'_, '_> {
 
     fn loop_findings(
         &mut self,
-        reference: Option<&Reference>,
+        reference: Option<&SweepReference>,
         recommended: Option<&Recommendation>,
         duration: f64,
     ) {

@@ -7,8 +7,8 @@ use super::super::course::{Course, Errors, TIMES};
 use super::super::grid::remainder;
 use super::lines::{Line, Measure};
 use super::{
-    Clock, FINER, Fate, LADDER, Models, Point, Recommendation, Reference, Seconds, Setting,
-    SweepError, Tradeoff, Work, fit, least,
+    FINER, Fate, LADDER, Models, Point, ProcessorClock, Recommendation, Seconds, Setting,
+    SweepError, SweepReference, Tradeoff, Work, fit, least,
 };
 use crate::control::{Attempt, ControlGrid, Hold, OptimalControlProblem, search};
 use crate::mechanics::stability::automatic_step;
@@ -169,7 +169,7 @@ impl Work<'_, '_> {
     }
 
     fn solve(&self, setup: &OptimalControl) -> Result<(Attempt, Seconds), SweepError> {
-        let clock = Clock::start();
+        let clock = ProcessorClock::start();
         let attempts = search(&setup.problem, &setup.settings, &setup.search, &|_, _| {
             ControlFlow::Continue(())
         });
@@ -212,10 +212,10 @@ impl Work<'_, '_> {
     }
 
     /// Returns the reference: the controls of the finest grid that was solved on, on four times its elements.
-    fn control_reference(&self) -> Option<Reference> {
+    fn control_reference(&self) -> Option<SweepReference> {
         let finest = self.finest_solved()?;
         let errors = finest.error_bars?;
-        Some(Reference {
+        Some(SweepReference {
             elements: FINER * finest.setting.elements,
             step_s: finest.step_s / FINER as f64,
             order: None,
@@ -226,7 +226,7 @@ impl Work<'_, '_> {
         })
     }
 
-    fn control_models(&self, reference: Option<&Reference>) -> Models {
+    fn control_models(&self, reference: Option<&SweepReference>) -> Models {
         let mut models = Models::default();
         let duration = self.sweep.scene.task.as_ref().and_then(|task| task.at_s);
         let duration = duration.map_or(self.sweep.scene.time.end_s.get(), |at| at.get());
@@ -271,7 +271,7 @@ impl Work<'_, '_> {
 
     fn control_findings(
         &mut self,
-        reference: Option<&Reference>,
+        reference: Option<&SweepReference>,
         models: &Models,
         recommended: Option<&Recommendation>,
     ) {

@@ -5,8 +5,8 @@ use std::ops::ControlFlow;
 use serde::{Deserialize, Serialize};
 
 use super::super::course::number;
-use super::super::motion::Motion;
-use super::{Clock, Subject, Work};
+use super::super::motion::ComparedMotion;
+use super::{ProcessorClock, Subject, Work};
 use crate::control::{Guess, Search, search};
 use crate::scene::Scene;
 use crate::sqp::SqpSettings;
@@ -110,7 +110,7 @@ impl Work<'_, '_> {
     /// Measures the nanoseconds of one node and step; `None` if the motion breaks down.
     fn step_ns(&self, scene: &Scene) -> Option<f64> {
         let stop = self.sweep.stop;
-        let mut motion = Motion::of_scene(scene, self.sweep.source).ok()?;
+        let mut motion = ComparedMotion::of_scene(scene, self.sweep.source).ok()?;
         let open = scene.discretization();
         let found = motion.arm.discretize(motion.duration, &open).ok()?;
         motion.duration = motion.duration.min(STEPS * found.grid.step);
@@ -133,7 +133,7 @@ impl Work<'_, '_> {
             guess: Some(Guess::Rest),
             ..setup.search.clone()
         };
-        let clock = Clock::start();
+        let clock = ProcessorClock::start();
         let attempts = search(&setup.problem, &settings, &from_rest, &|_, _| {
             ControlFlow::Continue(())
         });

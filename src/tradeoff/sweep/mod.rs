@@ -25,7 +25,7 @@ pub use self::setting::Setting;
 use super::clock::least;
 use super::course::{Errors, number};
 use super::motion::RunError;
-use crate::clock::{Clock, Seconds};
+use crate::clock::{ProcessorClock, Seconds};
 use crate::control::GuessError;
 use crate::mpc::MpcError;
 use crate::scene::{Scene, SceneError, SceneSource, TimeStep};
@@ -181,7 +181,7 @@ impl Point {
 
 /// The reference of the errors.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Reference {
+pub struct SweepReference {
     /// Elements of the finest grid.
     pub elements: usize,
     /// Step of the finest grid, s.
@@ -225,7 +225,7 @@ pub struct Tradeoff {
     #[serde(deserialize_with = "number")]
     pub tolerance: f64,
     /// The reference; absent if it could not be computed.
-    pub reference: Option<Reference>,
+    pub reference: Option<SweepReference>,
     /// All settings that were tried, including those that failed.
     pub points: Vec<Point>,
     /// Fitted models.
@@ -279,7 +279,7 @@ pub struct Sweep<'a> {
     /// Points of an earlier sweep of the same scene, which are not run again.
     pub known: Vec<Point>,
     /// Reference of the earlier sweep.
-    pub known_reference: Option<Reference>,
+    pub known_reference: Option<SweepReference>,
     /// The signal that ends the work early.
     pub stop: &'a StopSignal,
     /// Called with every point as it is measured, and with other news.
@@ -493,7 +493,7 @@ impl Work<'_, '_> {
 
     fn finish(
         mut self,
-        reference: Option<Reference>,
+        reference: Option<SweepReference>,
         models: Models,
         recommended: Option<Recommendation>,
     ) -> Tradeoff {

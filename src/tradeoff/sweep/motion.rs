@@ -2,13 +2,13 @@
 
 use super::super::course::{Course, Errors};
 use super::super::grid::{
-    self, Estimate, Grid, Measured, NO_ORDER, Order, Rule, order_of_distances, remainder,
+    self, Grid, GridErrors, GridRule, Measured, NO_ORDER, Order, order_of_distances, remainder,
 };
-use super::super::motion::{Motion, Run, RunError};
+use super::super::motion::{ComparedMotion, Run, RunError};
 use super::lines::{Line, Measure};
 use super::{
-    FINER, Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff,
-    Work, fit, least, simulation_seconds,
+    FINER, Fate, LADDER, Models, Point, Recommendation, Setting, SweepError, SweepReference,
+    Tradeoff, Work, fit, least, simulation_seconds,
 };
 use crate::mechanics::{RodModel, StrainRule};
 use crate::memory::of_simulation;
@@ -76,7 +76,7 @@ impl Finest {
     /// Returns the error of the finest grid, for elements and steps together.
     fn measured(&self) -> Measured {
         Measured {
-            estimate: Estimate {
+            estimate: GridErrors {
                 grid: self.runs[self.runs.len() - 1].grid(),
                 parts: [self.errors().shape, 0.0],
             },
@@ -88,7 +88,7 @@ impl Finest {
 
 /// The motion with which settings are compared.
 struct Truth<'a> {
-    motion: &'a Motion,
+    motion: &'a ComparedMotion,
     course: &'a Course,
     /// Errors of the course itself.
     errors: Errors,
@@ -116,7 +116,7 @@ impl Measure for Truth<'_> {
 
 impl Work<'_, '_> {
     pub(super) fn motion(mut self) -> Result<Tradeoff, SweepError> {
-        let motion = Motion::of_scene(&self.scene(&self.usual), self.sweep.source)?;
+        let motion = ComparedMotion::of_scene(&self.scene(&self.usual), self.sweep.source)?;
         let finest = self.finest(&motion)?;
         let reference = self.reference(&finest);
         self.say(format!(
@@ -149,14 +149,14 @@ impl Work<'_, '_> {
 
     /// Refines grids in space and time together until the finest is accurate enough or would take too long. Each is twice as fine as the
     /// one before, so that their order can be observed.
-    fn finest(&mut self, motion: &Motion) -> Result<Finest, SweepError> {
+    fn finest(&mut self, motion: &ComparedMotion) -> Result<Finest, SweepError> {
         let mut open = self.scene(&self.usual).discretization();
         open.elements = COARSEST;
         let mut finest = Finest {
             runs: Vec::new(),
             length: motion.arm.length,
         };
-        let rule = Rule {
+        let rule = GridRule {
             accuracy: self.sweep.tolerance / BETTER,
             order: Order::Observed,
             // The budget ends the search.
@@ -227,10 +227,10 @@ impl Work<'_, '_> {
         spent + predicted <= part * self.sweep.budget.as_secs_f64()
     }
 
-    fn reference(&self, finest: &Finest) -> Reference {
+    fn reference(&self, finest: &Finest) -> SweepReference {
         let last = &finest.runs[finest.runs.len() - 1];
         let errors = finest.errors();
-        Reference {
+        SweepReference {
             elements: last.discretization.elements,
             step_s: last.step(),
             order: finest.order(),
@@ -242,7 +242,7 @@ impl Work<'_, '_> {
     }
 
     /// Reports how much the model of the section changes the motion, on one grid.
-    fn sections(&mut self, motion: &Motion) {
+    fn sections(&mut self, motion: &ComparedMotion) {
         if self.usual.model != RodModel::Standard || self.usual.integrator == TimeScheme::Implicit {
             return;
         }
@@ -347,7 +347,7 @@ impl Work<'_, '_> {
     fn simulated(&mut self, setting: &Setting, truth: &Truth) -> Point {
         let point = Point::new(setting);
         let scene = self.scene(setting);
-        let found = Motion::of_scene(&scene, self.sweep.source)
+        let found = ComparedMotion::of_scene(&scene, self.sweep.source)
             .map_err(SweepError::from)
             .and_then(|motion| {
                 let open = self.open(&motion, &scene, setting)?;
@@ -378,7 +378,7 @@ impl Work<'_, '_> {
     /// Returns the discretization of a setting, with its step relative to the automatic one.
     fn open(
         &self,
-        motion: &Motion,
+        motion: &ComparedMotion,
         scene: &Scene,
         setting: &Setting,
     ) -> Result<Discretization, RunError> {
@@ -394,7 +394,7 @@ impl Work<'_, '_> {
         })
     }
 
-    fn motion_models(&self, reference: &Reference) -> Models {
+    fn motion_models(&self, reference: &SweepReference) -> Models {
         let duration = self.sweep.scene.time.end_s.get();
         let mut models = Models::default();
         for integrator in [TimeScheme::Explicit, TimeScheme::Implicit] {
@@ -431,7 +431,7 @@ impl Work<'_, '_> {
     /// Returns the error of a setting against four times its elements and a quarter of its step.
     fn against_finer(&self, point: &Point) -> Result<f64, SweepError> {
         let scene = self.scene(&point.setting);
-        let own = Motion::of_scene(&scene, self.sweep.source)?;
+        let own = ComparedMotion::of_scene(&scene, self.sweep.source)?;
         let stop = self.sweep.stop;
         let open = self.open(&own, &scene, &point.setting)?;
         let coarse = own.run(&open, stop)?;
@@ -443,7 +443,7 @@ impl Work<'_, '_> {
             ..point.setting.clone()
         };
         let scene = self.scene(&truth);
-        let motion = Motion::of_scene(&scene, self.sweep.source)?;
+        let motion = ComparedMotion::of_scene(&scene, self.sweep.source)?;
         let setup = motion.setup(&scene.discretization(), coarse.step() / FINER as f64, stop);
         let fine = (setup.map_err(RunError::from)?.run(stop)).map_err(RunError::from)?;
         Ok(coarse.course.errors(&fine.course, motion.arm.length).shape)
@@ -451,7 +451,7 @@ impl Work<'_, '_> {
 
     fn motion_findings(
         &mut self,
-        reference: &Reference,
+        reference: &SweepReference,
         models: &Models,
         recommended: Option<&Recommendation>,
     ) {

@@ -2,7 +2,7 @@
 //!
 //! A summary is a file, and a file may hold anything: numbers that no sweep writes would let fits, pictures and grids grow without bounds.
 
-use super::{FINER, Fate, LADDER, News, Point, Reference, Setting, Tradeoff, Work};
+use super::{FINER, Fate, LADDER, News, Point, Setting, SweepReference, Tradeoff, Work};
 use crate::scene::MOST_ELEMENTS;
 use crate::task::MOST_STEPS;
 
@@ -92,7 +92,7 @@ impl Point {
     }
 }
 
-impl Reference {
+impl SweepReference {
     /// Describes a value in this reference that no sweep writes, if there is one.
     pub(crate) fn fault(&self) -> Option<String> {
         if !(1..=FINER * MOST_ELEMENTS).contains(&self.elements) {

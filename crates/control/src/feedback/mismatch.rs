@@ -13,7 +13,7 @@ use mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Trajectory, Wrench
 /// A quantity in which an arm differs from its model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Quantity {
+pub enum ModelQuantity {
     /// The elastic moduli.
     Stiffness,
     /// The mass of the arm and its payload, with the rotary inertia.
@@ -35,7 +35,7 @@ pub struct TipDeviation {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ModelMismatch {
     /// Quantity that differs.
-    pub quantity: Quantity,
+    pub quantity: ModelQuantity,
     /// Value of the arm divided by that of the model.
     pub factor: f64,
     /// Deviation under the controls of the solution alone; absent if the motion breaks down.
@@ -75,10 +75,14 @@ impl Feedback {
         if problem.depends_on_configuration() {
             return Ok(out);
         }
-        for quantity in [Quantity::Stiffness, Quantity::Mass, Quantity::Damping] {
+        for quantity in [
+            ModelQuantity::Stiffness,
+            ModelQuantity::Mass,
+            ModelQuantity::Damping,
+        ] {
             let rod = &problem.rod;
             let is_damped = rod.viscous_damping > 0.0 || rod.internal_damping > 0.0;
-            if quantity == Quantity::Damping && !is_damped {
+            if quantity == ModelQuantity::Damping && !is_damped {
                 continue;
             }
             for part in PARTS {
@@ -108,7 +112,7 @@ impl Feedback {
     }
 }
 
-impl Quantity {
+impl ModelQuantity {
     /// Returns the name in words.
     #[must_use]
     pub fn name(self) -> &'static str {

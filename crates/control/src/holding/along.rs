@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, Vector6};
 
 use super::clearance::HeldLimits;
 use super::program::{Aim, Demand, HoldingPoint, LITTLE, NEARER};
-use super::statics::{Statics, Target};
+use super::statics::{HeldTarget, HoldingStatics};
 use super::{MOST_CONTROLS, MOST_ELEMENTS, Search};
 use crate::problem::{Component, OptimalControlProblem};
 use mechanics::Configuration;
@@ -35,7 +35,7 @@ pub struct HoldingControls {
 /// where the search would take too long. It may be unstable.
 pub fn held_at(
     problem: &OptimalControlProblem,
-    target: Target,
+    target: HeldTarget,
     t: f64,
     shape: &Configuration,
 ) -> Option<(Configuration, Vec<f64>)> {
@@ -61,12 +61,12 @@ pub fn held_at(
 }
 
 /// Returns the statics under the loads of time `t`, s, with the bounds of efforts and commands as they are.
-fn statics_at(problem: &OptimalControlProblem, t: f64) -> Statics<'_> {
+fn statics_at(problem: &OptimalControlProblem, t: f64) -> HoldingStatics<'_> {
     let components = problem.actuated_components();
     let within = |component: &Component| {
         (problem.channel(component).bound).and_then(|bound| bound.interval(component.axis))
     };
-    Statics {
+    HoldingStatics {
         unit: own_squared_frequency(&problem.rod),
         ends: components.iter().map(within).collect(),
         components,
@@ -95,7 +95,7 @@ impl ControlsAlong {
     pub fn hold(
         &mut self,
         problem: &OptimalControlProblem,
-        target: Target,
+        target: HeldTarget,
         t: f64,
         rests: bool,
     ) -> Option<HoldingControls> {
@@ -132,8 +132,8 @@ impl ControlsAlong {
 /// of a wrench on the tip, and under a change of the factor on the stiffness, whose forces are those of the elements: the least of `½|J δu + C w|² + ½ε|δu|²`, as in the program, with the displacements `J` of the node along the
 /// controls and `C` along the wrench.
 fn bearing(
-    statics: &Statics,
-    target: &Target,
+    statics: &HoldingStatics,
+    target: &HeldTarget,
     point: &HoldingPoint,
 ) -> Option<(Vec<[f64; 6]>, Vec<f64>)> {
     let HoldingPoint { controls, shape } = point;

@@ -16,7 +16,7 @@ use faer::Mat;
 use nalgebra::Vector6;
 
 use super::clearance::HeldLimits;
-use super::statics::{LARGEST_TURN, Statics, Target, largest_turn};
+use super::statics::{HeldTarget, HoldingStatics, LARGEST_TURN, largest_turn};
 use crate::guess::SPRINGS;
 use crate::problem::Bound;
 use mechanics::equilibrium::NodeSpring;
@@ -66,7 +66,7 @@ pub enum Aim {
 pub struct Demand {
     /// What the equilibrium is for.
     pub aim: Aim,
-    /// Lower limit of `ω²` in units of [`Statics::unit`]; `None` without a constraint on stability.
+    /// Lower limit of `ω²` in units of [`HoldingStatics::unit`]; `None` without a constraint on stability.
     pub stability: Option<f64>,
     /// Tells whether the controls have their bounds.
     pub is_bounded: bool,
@@ -91,8 +91,8 @@ impl Demand {
 
 /// The program.
 pub struct HoldingProgram<'a> {
-    statics: &'a Statics<'a>,
-    target: Target,
+    statics: &'a HoldingStatics<'a>,
+    target: HeldTarget,
     demand: Demand,
     limits: Option<HeldLimits<'a>>,
     /// Weight of the square of every control.
@@ -125,7 +125,7 @@ struct Answers {
 
 impl<'a> HoldingProgram<'a> {
     /// Returns the program.
-    pub fn new(statics: &'a Statics<'a>, target: Target, demand: Demand) -> Self {
+    pub fn new(statics: &'a HoldingStatics<'a>, target: HeldTarget, demand: Demand) -> Self {
         let limits = (demand.clearance).map(|_| HeldLimits::of(statics.problem));
         let weight = |component| match statics.has_potential(component) {
             true => 1.0,
@@ -567,7 +567,7 @@ fn factored(tangent: &Tangent) -> Result<TangentLu, Failure> {
 }
 
 /// Returns the bounds of the controls.
-fn bounds(statics: &Statics) -> Vec<ConvexSet> {
+fn bounds(statics: &HoldingStatics) -> Vec<ConvexSet> {
     let mut out = Vec::new();
     for (index, own) in statics.problem.channels.iter().enumerate() {
         let channel = &own.channel;

@@ -17,7 +17,7 @@ use mechanics::{Configuration, NodeWrenches, Posed, Rod, StateView, Wrench};
 
 /// A target of a node.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Target {
+pub struct HeldTarget {
     /// The node.
     pub node: usize,
     /// Position, m.
@@ -28,7 +28,7 @@ pub struct Target {
     pub direction: Option<Vector3<f64>>,
 }
 
-impl Target {
+impl HeldTarget {
     /// Returns the number of equations.
     pub fn n_equations(&self) -> usize {
         self.parts().map(GoalPart::n_rows).sum()
@@ -99,7 +99,7 @@ impl Target {
 
 /// The arm of a problem at the end of its horizon, under its controls and springs on a node. Motions that joints hold have no residual and
 /// no variation.
-pub struct Statics<'a> {
+pub struct HoldingStatics<'a> {
     /// The problem, with its rod, channels and actuators.
     pub problem: &'a OptimalControlProblem,
     /// The actuated components; the controls are their values divided by the scales of their channels.
@@ -112,7 +112,7 @@ pub struct Statics<'a> {
     pub unit: f64,
 }
 
-impl Statics<'_> {
+impl HoldingStatics<'_> {
     fn rod(&self) -> &Rod {
         &self.problem.rod
     }
@@ -623,7 +623,12 @@ impl Statics<'_> {
     }
 
     /// Returns the derivative of the residual of `target` along a step.
-    pub fn along(&self, target: &Target, shape: &Configuration, step: &[Vector6<f64>]) -> Vec<f64> {
+    pub fn along(
+        &self,
+        target: &HeldTarget,
+        shape: &Configuration,
+        step: &[Vector6<f64>],
+    ) -> Vec<f64> {
         let Some(node) = target.node.checked_sub(self.rod().first_free_node()) else {
             return vec![0.0; target.n_equations()];
         };

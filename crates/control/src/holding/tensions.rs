@@ -2,7 +2,7 @@
 //! those of the arm on its winches, whose springs only stiffen it.
 
 use super::program::Aim;
-use super::statics::Statics;
+use super::statics::HoldingStatics;
 use super::{BRANCHES, Demand, Held, HeldLimits, HoldingPoint, Search, ends};
 use crate::tensions::Winches;
 
@@ -28,7 +28,7 @@ fn held_by(winches: &Winches, search: &Search) -> Option<Held> {
     let own = search.statics;
     let problem = winches.by_tensions();
     let components = own.components.clone();
-    let statics = Statics {
+    let statics = HoldingStatics {
         problem: &problem,
         ends: (components.iter())
             .map(|component| ends::ends(&problem, component))

@@ -7,7 +7,7 @@ use super::{LiftedPoint, Transcription};
 use crate::acting::ControlCurvature;
 use crate::path::{RowCurvature, RowGradient};
 use mechanics::StateForm;
-use mechanics::curvature::{Multipliers as StateMultipliers, resistance_curvatures};
+use mechanics::curvature::{MotionMultipliers, resistance_curvatures};
 use mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use mechanics::sensitivity::{ControlColumns, Sensitivities, adjoint, sensitivities};
 use sqp::{Evaluation, Failure, Linearization, LinearizationRequest, Multipliers};
@@ -176,7 +176,7 @@ impl Transcription<'_> {
             gathered.push(form);
         }
         let (forms, place) = gathered.sorted();
-        let second_order = costates.map(|adjoint| StateMultipliers { adjoint, own: &own });
+        let second_order = costates.map(|adjoint| MotionMultipliers { adjoint, own: &own });
         let sources = RightHandSide::against(&evaluation.defects);
         let mut found = sensitivities(
             &motion,

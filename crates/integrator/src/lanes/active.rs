@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::LaneIntegrator;
-use super::place::{FORCE, MOMENT, Place, Slots};
+use super::place::{FORCE, MOMENT, Slot, Slots};
 use super::rule::Stress;
 use super::vector::{Lanes, Row, Vec3, row};
 use crate::buffer::Buffer;
@@ -78,7 +78,7 @@ impl ActiveLanes {
         }
         let mut shared = Vec::new();
         for q in 0..rod.n_elements() {
-            let Place { block, lane } = slots.place(q);
+            let Slot { block, lane } = slots.place(q);
             let length = rod.elements[q].length;
             each(q, &mut |index, nth| {
                 let point = &rod.actuators.on(q)[index];

@@ -3,7 +3,7 @@
 use nalgebra::{Quaternion, Vector3};
 
 use super::LaneIntegrator;
-use super::place::{BASE, Place, Slots};
+use super::place::{BASE, Slot, Slots};
 use super::sweep::{
     ANGULAR_MOMENTUM, FORCE, LAST_TURN, LINEAR_MOMENTUM, MOMENT, POSITION, ROTATION, SPIN_ROWS,
     STATE_ROWS,
@@ -27,7 +27,7 @@ pub struct HeldBase {
 #[derive(Clone, Copy, Debug)]
 pub struct HeldEnd {
     pub joint: Joint,
-    pub place: Place,
+    pub place: Slot,
     /// State of a driven end at the end of the step under way, and the rows of its pose there.
     pub driven: Option<(BaseState, [f64; 7])>,
 }

@@ -1,7 +1,7 @@
 //! Constants of nodes and elements, in blocks.
 
 use super::element::{Consistent, SectionLaw, Standard};
-use super::place::{Place, Slots};
+use super::place::{Slot, Slots};
 use super::rule::Rule;
 use super::sweep::{GYRATION, MOBILITY, NODE_ROWS, WEIGHT};
 use crate::buffer::Buffer;
@@ -81,7 +81,7 @@ fn write_block(
     elements: &mut [f64],
 ) {
     for lane in 0..slots.n_lanes {
-        let node = slots.node(Place { block, lane });
+        let node = slots.node(Slot { block, lane });
         let mut rows = if node < rod.first_free_node() || node >= rod.n_nodes() {
             held_constants(rod.model == RodModel::Standard)
         } else {

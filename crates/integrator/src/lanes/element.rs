@@ -35,13 +35,13 @@ pub const THINNING_ROWS: usize = 28;
 
 /// Position and rotation of a node.
 #[derive(Clone, Copy, Debug)]
-pub struct Pose<S: Simd> {
+pub struct FramedPose<S: Simd> {
     pub position: Vec3<S>,
     pub rotation: Quaternion<S>,
     pub frame: Frame<S>,
 }
 
-impl<S: Simd> Pose<S> {
+impl<S: Simd> FramedPose<S> {
     #[inline(always)]
     pub fn of(position: Vec3<S>, rotation: Quaternion<S>) -> Self {
         Self {

@@ -26,12 +26,12 @@ use self::active::ActiveLanes;
 use self::base::{HeldBase, HeldEnd};
 use self::constants::{Constants, HELD_INERTIA};
 use self::element::{Consistent, Dilatation, SectionLaw, Standard};
-use self::place::{BASE, Place, Slots};
+use self::place::{BASE, Slot, Slots};
 use self::resisted::Departures;
 use self::rule::Rule;
 use self::singly::SingleTurns;
 pub use self::solved::SolverWork;
-use self::solved::{SolvedRule, Solver};
+use self::solved::{SolvedRule, StepSolver};
 use self::sweep::{
     ANGULAR_MOMENTUM, EXCHANGE_ROWS, FORCE, LAST_TURN, LINEAR_MOMENTUM, MOMENT, POSITION, Part,
     ROTARY, ROTATION, SPIN_ROWS, STATE_ROWS, Sweep,
@@ -76,7 +76,7 @@ pub struct LaneIntegrator<'a> {
     /// Forces at the start of a motion, as temporary memory.
     seating: NodalForces,
     /// Present if steps are solved for.
-    solver: Option<Box<Solver>>,
+    solver: Option<Box<StepSolver>>,
     /// Present if the rod has actuators.
     active: Option<Box<ActiveLanes>>,
     departures: Departures,
@@ -98,7 +98,7 @@ pub struct LaneMemory {
     ends: Vec<HeldEnd>,
     control: Vec<(usize, Wrench)>,
     seating: NodalForces,
-    solver: Option<Box<Solver>>,
+    solver: Option<Box<StepSolver>>,
     active: Option<Box<ActiveLanes>>,
     departures: Departures,
 }
@@ -217,7 +217,7 @@ impl<'a> LaneIntegrator<'a> {
             ends: HeldEnd::of_rod(rod, slots),
             control: Vec::new(),
             seating: NodalForces::zeros(rod.n_nodes()),
-            solver: Solver::new(rod, slots, clock.step).map(Box::new),
+            solver: StepSolver::new(rod, slots, clock.step).map(Box::new),
             active: ActiveLanes::new(rod, slots),
             departures: Departures::default(),
         }
@@ -347,14 +347,14 @@ impl<'a> LaneIntegrator<'a> {
     }
 
     #[inline]
-    fn get(&self, place: Place, row: usize) -> Vector3<f64> {
+    fn get(&self, place: Slot, row: usize) -> Vector3<f64> {
         let at = self.slots.index(place, STATE_ROWS, row);
         let n = self.slots.n_lanes;
         Vector3::new(self.state[at], self.state[at + n], self.state[at + 2 * n])
     }
 
     #[inline]
-    fn set(&mut self, place: Place, row: usize, value: &Vector3<f64>) {
+    fn set(&mut self, place: Slot, row: usize, value: &Vector3<f64>) {
         let at = self.slots.index(place, STATE_ROWS, row);
         for i in 0..3 {
             self.state[at + i * self.slots.n_lanes] = value[i];
@@ -362,7 +362,7 @@ impl<'a> LaneIntegrator<'a> {
     }
 
     #[inline]
-    fn add(&mut self, place: Place, row: usize, value: &Vector3<f64>) {
+    fn add(&mut self, place: Slot, row: usize, value: &Vector3<f64>) {
         let sum = self.get(place, row) + value;
         self.set(place, row, &sum);
     }

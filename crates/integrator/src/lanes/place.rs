@@ -24,18 +24,18 @@ pub struct Slots {
 
 /// A block, and a lane in each of its rows.
 #[derive(Clone, Copy, Debug)]
-pub struct Place {
+pub struct Slot {
     pub block: usize,
     pub lane: usize,
 }
 
 /// Place of node 0.
-pub const BASE: Place = Place { block: 0, lane: 0 };
+pub const BASE: Slot = Slot { block: 0, lane: 0 };
 
 impl Slots {
     #[inline]
-    pub fn place(self, node: usize) -> Place {
-        Place {
+    pub fn place(self, node: usize) -> Slot {
+        Slot {
             block: node % self.n_blocks,
             lane: node / self.n_blocks,
         }
@@ -43,12 +43,12 @@ impl Slots {
 
     /// Returns the index of a row among blocks of `n_rows` rows.
     #[inline]
-    pub fn index(self, place: Place, n_rows: usize, row: usize) -> usize {
+    pub fn index(self, place: Slot, n_rows: usize, row: usize) -> usize {
         (place.block * n_rows + row) * self.n_lanes + place.lane
     }
 
     #[inline]
-    pub fn node(self, place: Place) -> usize {
+    pub fn node(self, place: Slot) -> usize {
         place.lane * self.n_blocks + place.block
     }
 

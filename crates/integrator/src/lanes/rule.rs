@@ -10,7 +10,7 @@ use pulp::Simd;
 
 use super::active::ActiveBlocks;
 use super::element::{
-    Chord, Gradient, LINEAR_STIFFNESS, Pose, SectionLaw, THINNING_ROWS, constants, fold,
+    Chord, FramedPose, Gradient, LINEAR_STIFFNESS, SectionLaw, THINNING_ROWS, constants, fold,
     inverse_length,
 };
 use super::logarithm::{Logarithm, logarithm};
@@ -80,7 +80,7 @@ pub trait Rule {
     /// angular ones in the rule's measure of the rotation. Then what the dilatation needs.
     fn constants(rod: &Rod, q: usize, time_step: f64) -> [f64; THINNING_ROWS];
 
-    fn strained<S: Simd>(a: &Pose<S>, b: &Pose<S>, chord: &Chord<S>) -> Strained<S>;
+    fn strained<S: Simd>(a: &FramedPose<S>, b: &FramedPose<S>, chord: &Chord<S>) -> Strained<S>;
 
     /// To at most [`STRAINED_ROWS`] rows.
     fn store<S: Simd>(strained: &Strained<S>, rows: &mut [Row<S>]);
@@ -102,8 +102,8 @@ pub trait Rule {
     /// Returns the gradient of the energy of the elements of a block, with the actuators that pass them.
     fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
-        a: &Pose<S>,
-        b: &Pose<S>,
+        a: &FramedPose<S>,
+        b: &FramedPose<S>,
         chord: &Chord<S>,
         active: Option<(ActiveBlocks<S>, usize)>,
     ) -> Gradient<S>;
@@ -130,7 +130,7 @@ impl Rule for Trapezoidal {
     }
 
     #[inline(always)]
-    fn strained<S: Simd>(a: &Pose<S>, b: &Pose<S>, chord: &Chord<S>) -> Strained<S> {
+    fn strained<S: Simd>(a: &FramedPose<S>, b: &FramedPose<S>, chord: &Chord<S>) -> Strained<S> {
         let y = [a.frame.to_body(chord.dx), b.frame.to_body(chord.dx)];
         let Quaternion { w, v } = a.rotation.relative(b.rotation);
         // v/w; at exactly half a turn zero instead of infinite, so that a lane without an element stays without force.
@@ -201,8 +201,8 @@ impl Rule for Trapezoidal {
     #[inline(always)]
     fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
-        a: &Pose<S>,
-        b: &Pose<S>,
+        a: &FramedPose<S>,
+        b: &FramedPose<S>,
         chord: &Chord<S>,
         active: Option<(ActiveBlocks<S>, usize)>,
     ) -> Gradient<S> {
@@ -231,7 +231,7 @@ impl Rule for Helical {
     }
 
     #[inline(always)]
-    fn strained<S: Simd>(a: &Pose<S>, b: &Pose<S>, chord: &Chord<S>) -> Strained<S> {
+    fn strained<S: Simd>(a: &FramedPose<S>, b: &FramedPose<S>, chord: &Chord<S>) -> Strained<S> {
         let relative = a.rotation.relative(b.rotation);
         let Logarithm {
             psi,
@@ -321,8 +321,8 @@ impl Rule for Helical {
     #[inline(always)]
     fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
-        a: &Pose<S>,
-        b: &Pose<S>,
+        a: &FramedPose<S>,
+        b: &FramedPose<S>,
         chord: &Chord<S>,
         active: Option<(ActiveBlocks<S>, usize)>,
     ) -> Gradient<S> {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::place::{Place, Slots};
+use super::place::{Slot, Slots};
 use super::sweep::TurnSingly;
 use cosserat::rod::Rod;
 use cosserat::rotation::{cay, cayley_quaternion, wxyz};
@@ -10,7 +10,7 @@ use cosserat::rotation_step::solve_rotation;
 
 /// A node that cannot be turned, its angular momentum and inertia.
 #[derive(Clone, Copy, Debug)]
-pub struct Failure {
+pub(crate) struct Failure {
     pub node: usize,
     pub g: Vector3<f64>,
     pub inertia: Vector3<f64>,
@@ -32,7 +32,7 @@ impl TurnSingly for SingleTurns<'_> {
         g: [f64; 3],
         inertia: Option<[f64; 3]>,
     ) -> ([f64; 4], [f64; 3]) {
-        let node = self.slots.node(Place { block, lane });
+        let node = self.slots.node(Slot { block, lane });
         let g = Vector3::from(g);
         let still = ([1.0, 0.0, 0.0, 0.0], g.into());
         if node < self.rod.first_free_node() || node >= self.rod.n_nodes() {

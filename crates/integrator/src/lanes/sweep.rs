@@ -10,7 +10,7 @@ use std::marker::PhantomData;
 use pulp::{Simd, WithSimd};
 
 use super::active::{ActiveBlocks, ActiveLanes};
-use super::element::{Chord, Pose, SectionLaw};
+use super::element::{Chord, FramedPose, SectionLaw};
 pub use super::place::{
     ANGULAR_MOMENTUM, FORCE, LINEAR_MOMENTUM, MOMENT, POSITION, ROTATION, STATE_ROWS,
 };
@@ -58,7 +58,7 @@ pub trait TurnSingly {
 
 /// A part of a step. With a kinetic reaction a step has several parts, between which a driven base is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub(crate) enum Part {
     /// A whole step without kinetic reaction.
     Whole,
     /// Kicks and turns, with the present inertia.
@@ -76,7 +76,7 @@ pub enum Part {
 }
 
 /// The task of a step or a part of it.
-pub struct Sweep<'a, R, L, T> {
+pub(crate) struct Sweep<'a, R, L, T> {
     pub part: Part,
     pub state: &'a mut [f64],
     pub nodes: &'a [f64],
@@ -203,7 +203,7 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
         let simd = self.simd;
         let n_blocks = self.blocks.len();
         let zero = Vec3::zero(simd);
-        let mut left = Pose::of(zero, Quaternion { w: zero.x, v: zero });
+        let mut left = FramedPose::of(zero, Quaternion { w: zero.x, v: zero });
         let mut right = left;
         let mut pull = zero;
         let mut twist = zero;
@@ -221,7 +221,7 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
                 // The last block is followed by the nodes of the first one, a lane further.
                 (self.position(0).next_lane(), self.rotation(0).next_lane())
             };
-            let next = Pose::of(position, rotation);
+            let next = FramedPose::of(position, rotation);
             if ahead >= 2 {
                 let i = ahead - 2;
                 let constants = self.element(i);

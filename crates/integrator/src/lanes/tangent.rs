@@ -34,7 +34,7 @@ pub fn put_pose(
 
 /// A node at several time nodes.
 #[derive(Clone, Copy)]
-pub struct NodePose<S: Simd> {
+pub(crate) struct NodePose<S: Simd> {
     pub position: Vec3<S>,
     pub rotation: Mat3<S>,
 }

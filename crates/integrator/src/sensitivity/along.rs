@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::curvature::Multipliers;
+use crate::curvature::MotionMultipliers;
 use crate::linearization::Motion;
 use cosserat::configuration::Trajectory;
 
@@ -12,7 +12,7 @@ pub struct Along<'a> {
     pub motion: &'a Motion<'a>,
     pub trajectory: &'a Trajectory,
     /// Multipliers, if second derivatives are asked for as well.
-    pub multipliers: Option<&'a Multipliers<'a>>,
+    pub multipliers: Option<&'a MotionMultipliers<'a>>,
     /// Time nodes of the stretch. Half a kick is taken at either end of it; the motion before and after it is not read.
     pub stretch: RangeInclusive<usize>,
 }

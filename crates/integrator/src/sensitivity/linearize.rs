@@ -23,7 +23,7 @@ use super::step::{
     pack_loads, square,
 };
 use crate::curvature::{
-    InertiaCurvature, IntervalCurvature, Multipliers, StressCurvature, active_curvature,
+    InertiaCurvature, IntervalCurvature, MotionMultipliers, StressCurvature, active_curvature,
     element_curvature, load_curvatures,
 };
 use crate::lanes::tangent::{
@@ -278,7 +278,7 @@ impl WinchKick {
     fn add_curvature(
         &self,
         along: &Along,
-        multipliers: &Multipliers,
+        multipliers: &MotionMultipliers,
         k: usize,
         curvature: &mut StepCurvature,
     ) {

@@ -4,7 +4,7 @@
 //! that lie next to each other in memory (column index fastest). The kernels are written once over [`pulp`]'s vectors and
 //! dispatched at run time; the tests have plain counterparts.
 //!
-//! Two routes lead to the same table of forms and columns ([`Route`]): the columns go forward and are read where a form is,
+//! Two routes lead to the same table of forms and columns ([`SweepRoute`]): the columns go forward and are read where a form is,
 //! skipped as long as their control has not begun to act; or the forms go backward, and their covectors are read where a
 //! column acts. Either way a form costs its own terms and no more.
 //!
@@ -45,7 +45,7 @@ use self::reduction::{Block, Record};
 use self::reverse::ReverseTile;
 use self::team::{lock, read, write};
 use self::tile::Tile;
-use super::curvature::Multipliers;
+use super::curvature::MotionMultipliers;
 use super::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use cosserat::configuration::{Trajectory, TrajectoryTangent};
 use cosserat::element::RodModel;
@@ -134,7 +134,7 @@ fn visit_efforts(
 
 /// The way from columns to forms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Route {
+pub enum SweepRoute {
     /// Columns forward in time: all of them, whatever the number of forms. The only way to second derivatives.
     Forward,
     /// Forms backward in time: all of them, whatever the number of columns.
@@ -161,7 +161,7 @@ pub struct Sensitivities {
     /// [sources](RightHandSide::start).
     pub start: Option<Mat<f64>>,
     /// The way that was taken.
-    pub route: Route,
+    pub route: SweepRoute,
     /// Floating-point operations spent on the columns, or on the forms.
     pub flops: u64,
 }
@@ -183,7 +183,7 @@ pub fn sensitivities(
     sources: &[&RightHandSide],
     columns: &dyn ControlColumns,
     forms: &[StateForm],
-    multipliers: Option<&Multipliers>,
+    multipliers: Option<&MotionMultipliers>,
     n_threads: usize,
 ) -> Result<Sensitivities, StepError> {
     assert!(
@@ -564,7 +564,7 @@ impl Task<'_> {
 
     fn conveyor<'a>(
         &'a self,
-        multipliers: Option<&'a Multipliers<'a>>,
+        multipliers: Option<&'a MotionMultipliers<'a>>,
         range: Range<usize>,
         sense: Sense,
     ) -> Conveyor<'a> {
@@ -581,7 +581,7 @@ impl Task<'_> {
         }
     }
 
-    fn forward(&self, multipliers: Option<&Multipliers>) -> Result<Sensitivities, StepError> {
+    fn forward(&self, multipliers: Option<&MotionMultipliers>) -> Result<Sensitivities, StepError> {
         let n_nodes = self.motion.rod.n_nodes();
         let n_tiles = self.n_all().div_ceil(TILE);
         // One thread alternates between tiles and blocks while the rows are in its cache; several have to meet in between.
@@ -663,7 +663,7 @@ impl Task<'_> {
             curvature_sources: part(from_columns, from_sources.clone()),
             source_curvature: part(from_sources.clone(), from_sources),
             start: None,
-            route: Route::Forward,
+            route: SweepRoute::Forward,
             flops: tiles.iter().map(|tile| tile.flops).sum::<u64>()
                 + blocks.iter().map(Block::flops).sum::<u64>(),
         })
@@ -701,7 +701,7 @@ impl Task<'_> {
             start: Some(Mat::from_fn(n_forms, NODE_COMPONENTS * n_free, |i, j| {
                 tiles[i / TILE].component(first * NODE_COMPONENTS + j, i % TILE)
             })),
-            route: Route::Reverse,
+            route: SweepRoute::Reverse,
             flops: tiles.iter().map(|tile| tile.flops).sum(),
         })
     }

@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 
 use super::residual::defects;
 use crate::linearization::{AdjointSweep, Defects, Motion, RightHandSide, StateTangent};
-use cosserat::configuration::{NodePose, State, Trajectory};
+use cosserat::configuration::{EndPose, State, Trajectory};
 use cosserat::ends::EndCondition;
 use cosserat::rod::Rod;
 use cosserat::rotation::exp;
@@ -139,7 +139,7 @@ impl Side {
 }
 
 /// Returns the pose to which the base of a rod is held at a time; `None` for a free one.
-fn base_at(rod: &Rod, t: f64) -> Option<NodePose> {
+fn base_at(rod: &Rod, t: f64) -> Option<EndPose> {
     if rod.base == EndCondition::Free {
         return None;
     }

@@ -24,7 +24,7 @@ use pulp::Arch;
 use super::TILE;
 use super::along::Along;
 use super::combined::{Combined, Spread};
-use crate::curvature::{IntervalCurvature, Multipliers};
+use crate::curvature::{IntervalCurvature, MotionMultipliers};
 use crate::linearization::Motion;
 use cosserat::LineChange;
 use cosserat::forces::NodalForces;
@@ -133,7 +133,7 @@ impl WinchDrift {
     pub(super) fn add_curvature(
         &self,
         along: &Along,
-        multipliers: &Multipliers,
+        multipliers: &MotionMultipliers,
         k: usize,
         interval: &mut IntervalCurvature,
     ) {

@@ -46,7 +46,7 @@ pub const CLOSED: f64 = 1e-12;
 const LEAST_TURN_STIFFNESS: f64 = 1e-8;
 
 /// A rod under its loads and springs at a time: its forces, their matrix, and Newton's method.
-pub struct Statics<'a> {
+pub(crate) struct Statics<'a> {
     pub rod: &'a Rod,
     pub t: f64,
     pub spring: NodeSpring,

@@ -19,7 +19,7 @@ use crate::estimator::{Disturbance, Estimate, EstimateError, Estimator, Inbox, P
 use crate::signal::Measurement;
 use control::rounding_of;
 use mechanics::State;
-use stop::clock::Clock;
+use stop::clock::ProcessorClock;
 
 /// Cap on consecutive failures of an estimator, after which it restarts from the start of the task: a single one may be a bad reading, and
 /// the gate believes a signal after as many refusals.
@@ -63,7 +63,7 @@ pub struct Driver {
     /// Number of failures of the estimator since the last measurement that it used.
     failures: usize,
     index: usize,
-    begin: Clock,
+    begin: ProcessorClock,
     /// Time that the computation of the last command took, s.
     computing: f64,
     /// Tells whether the controller needs a restart.
@@ -141,7 +141,7 @@ impl Driver {
             corrected_at: 0.0,
             failures: 0,
             index: 0,
-            begin: Clock::start(),
+            begin: ProcessorClock::start(),
             computing: 0.0,
             is_lost: false,
             controller,
@@ -262,7 +262,7 @@ impl Driver {
     /// [`known_at`](Self::known_at); the reference is
     /// `None` if nothing is known. [`Sample::prepare_s`] is set by [`Responded::prepare`].
     pub fn respond(&mut self, t: f64, known: Known) -> Responded<'_> {
-        self.begin = Clock::start();
+        self.begin = ProcessorClock::start();
         let period = self.controller.settings().period;
         let index = (t / period).round() as usize;
         if index > self.index {

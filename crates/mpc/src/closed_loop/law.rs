@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use crate::beam::{frequencies, modal_mass, weakest_stiffness};
 use crate::controller::{Aim, Controller};
 use crate::error::MpcError;
-use crate::holding::Holding;
+use crate::holding::HoldingWrenches;
 use control::Bound;
 use mechanics::{State, Wrench};
 
@@ -67,7 +67,7 @@ impl TipGains {
 /// A law that acts on the node that follows.
 #[derive(Debug)]
 pub(super) struct TipLaw {
-    holding: Holding,
+    holding: HoldingWrenches,
     stiffness: f64,
     damping: f64,
     /// Factor on the integral of the distance, N/(m s); below it, the force of the integral, N.

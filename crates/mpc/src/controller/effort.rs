@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{Controller, EffortFrom};
 use crate::command::{Effect, Part};
-use crate::holding::{Along, HeldControls, Holding, ReferencePose};
+use crate::holding::{Along, HeldControls, HoldingWrenches, ReferencePose};
 use control::{Channel, ControlsAlong, OptimalControlProblem, Tracking};
 use mechanics::Wrench;
 use mechanics::direction::Deviation;
@@ -114,7 +114,7 @@ impl Controller {
 
     /// Returns the wrenches that hold the node along its reference; `None` without a reference, if it lasts more than ten minutes, and after
     /// a stop signal.
-    pub(crate) fn holding(&self) -> Option<Holding> {
+    pub(crate) fn holding(&self) -> Option<HoldingWrenches> {
         let (followed, turns) = (self.followed(), self.turns());
         let reference = |t: f64| self.reference_pose(t, turns);
         if reference(0.0) == ReferencePose::default() {
@@ -122,7 +122,7 @@ impl Controller {
         }
         let start = &self.horizon.problem.initial.configuration;
         let (times, stop) = (self.holding_times(), &self.horizon.stop);
-        Holding::along((self.rod(), followed), start, reference, times, stop)
+        HoldingWrenches::along((self.rod(), followed), start, reference, times, stop)
     }
 
     /// Tells whether a moment acts on the node that follows.
@@ -182,7 +182,7 @@ impl Controller {
         };
         let there: Vec<(usize, f64)> = horizon.effects.iter().map(alone).collect::<Option<_>>()?;
         let of = (self.rod(), node);
-        let led = Holding::along(of, start, |_| reference, [1.0, 0.0], &horizon.stop)?;
+        let led = HoldingWrenches::along(of, start, |_| reference, [1.0, 0.0], &horizon.stop)?;
         let wrench = led.wrench(0.0).to_array();
         let controls = (there.iter().zip(&horizon.scales))
             .map(|((component, size), scale)| wrench[*component] / (size * scale))

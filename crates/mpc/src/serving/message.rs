@@ -18,7 +18,7 @@ use mechanics::Drive;
 
 /// Three numbers, and a rotation row by row.
 pub type Vector = [f64; 3];
-pub type Rows = [[f64; 3]; 3];
+pub(crate) type Rows = [[f64; 3]; 3];
 
 /// Returns the rows of a matrix.
 pub fn rows(matrix: &Matrix3<f64>) -> Rows {

@@ -1,7 +1,7 @@
 //! The Hessian of a subproblem: its kind, its active set, and what a step shows about both.
 
 use super::Run;
-use crate::hessian::{ActiveSet, Condition, ModelHessian, Pull, Tangents};
+use crate::hessian::{ActiveSet, Condition, HeldMultiplier, ModelHessian, Tangents};
 use crate::norms::norm;
 use crate::program::{LiftedProgram, Linearization};
 use crate::quadratic_program::{INSIDE, QpSolution};
@@ -118,7 +118,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         }
         let pulls = held.pulls(&solution.linear_part());
         let multipliers = &mut solution.multipliers;
-        for Pull {
+        for HeldMultiplier {
             condition,
             multiplier,
             ..

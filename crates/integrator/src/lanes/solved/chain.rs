@@ -12,20 +12,20 @@ pub const SIZE: usize = 6;
 pub struct Column(pub [f64; 8]);
 
 /// A 6×6 matrix, column by column.
-pub type Square = [Column; SIZE];
+pub type ChainBlock = [Column; SIZE];
 
 const NONE: Column = Column([0.0; 8]);
-pub const ZERO: Square = [NONE; SIZE];
+pub const ZERO: ChainBlock = [NONE; SIZE];
 
 /// Factors of a block-tridiagonal matrix. With `i` on the way to the middle and `j` the next node on it:
 #[derive(Clone, Debug)]
 struct Link {
     /// `A_ji P_i`: factor of the right-hand side of `i` that is subtracted from that of `j`.
-    onward: Square,
+    onward: ChainBlock,
     /// `P_i`, the inverse of the pivot.
-    pivot: Square,
+    pivot: ChainBlock,
     /// `P_i A_ij`: factor of the solution of `j` that is subtracted from that of `i`.
-    back: Square,
+    back: ChainBlock,
 }
 
 /// A factored matrix, and a right-hand side.
@@ -37,11 +37,11 @@ pub struct Chain {
 }
 
 /// The blocks of a matrix.
-pub trait Blocks {
+pub trait ChainBlocks {
     /// `A_ii`
-    fn diagonal(&self, i: usize) -> Square;
+    fn diagonal(&self, i: usize) -> ChainBlock;
     /// `A_ij` of neighbors.
-    fn beside(&self, i: usize, j: usize) -> Square;
+    fn beside(&self, i: usize, j: usize) -> ChainBlock;
 }
 
 impl Chain {
@@ -59,7 +59,7 @@ impl Chain {
 
     /// Factors a matrix. A singular pivot leaves numbers that are not finite.
     #[inline(always)]
-    pub fn factor(&mut self, blocks: &impl Blocks) {
+    pub fn factor(&mut self, blocks: &impl ChainBlocks) {
         let n = self.links.len();
         let middle = n / 2;
         // What the links so far take from the next diagonal block of either chain.
@@ -77,7 +77,13 @@ impl Chain {
 
     /// Eliminates `i`, with `j` next; returns the block that is subtracted from the diagonal block of `j`.
     #[inline(always)]
-    fn link(&mut self, blocks: &impl Blocks, i: usize, j: usize, fill: &Square) -> Square {
+    fn link(
+        &mut self,
+        blocks: &impl ChainBlocks,
+        i: usize,
+        j: usize,
+        fill: &ChainBlock,
+    ) -> ChainBlock {
         let pivot = inverse(difference(&blocks.diagonal(i), fill));
         let onward = blocks.beside(j, i);
         let back = product(&pivot, &blocks.beside(i, j));
@@ -118,7 +124,7 @@ impl Chain {
 
 /// `b_to ← b_to - M b_from`
 #[inline(always)]
-fn subtract(columns: &mut [Column], to: usize, m: &Square, from: usize) {
+fn subtract(columns: &mut [Column], to: usize, m: &ChainBlock, from: usize) {
     let change = apply(m, &columns[from]);
     for (sum, change) in columns[to].0.iter_mut().zip(change.0) {
         *sum -= change;
@@ -127,7 +133,7 @@ fn subtract(columns: &mut [Column], to: usize, m: &Square, from: usize) {
 
 /// `M v`
 #[inline(always)]
-fn apply(m: &Square, v: &Column) -> Column {
+fn apply(m: &ChainBlock, v: &Column) -> Column {
     let mut out = NONE;
     for (row, out) in out.0.iter_mut().enumerate() {
         let term = |j: usize| m[j].0[row] * v.0[j];
@@ -138,7 +144,7 @@ fn apply(m: &Square, v: &Column) -> Column {
 
 /// `M N`
 #[inline(always)]
-fn product(m: &Square, n: &Square) -> Square {
+fn product(m: &ChainBlock, n: &ChainBlock) -> ChainBlock {
     let mut out = ZERO;
     for (out, column) in out.iter_mut().zip(n) {
         *out = apply(m, column);
@@ -147,7 +153,7 @@ fn product(m: &Square, n: &Square) -> Square {
 }
 
 #[inline(always)]
-fn difference(m: &Square, n: &Square) -> Square {
+fn difference(m: &ChainBlock, n: &ChainBlock) -> ChainBlock {
     let mut out = *m;
     for (out, n) in out.iter_mut().zip(n) {
         for (out, n) in out.0.iter_mut().zip(n.0) {
@@ -160,7 +166,7 @@ fn difference(m: &Square, n: &Square) -> Square {
 /// Returns the inverse by Gauss-Jordan elimination; the pivots are the diagonal entries, which is stable if inertia and stiffness make them
 /// large.
 #[inline(always)]
-fn inverse(mut m: Square) -> Square {
+fn inverse(mut m: ChainBlock) -> ChainBlock {
     for k in 0..SIZE {
         let pivot = 1.0 / m[k].0[k];
         let column = m[k].0;

@@ -2,13 +2,13 @@
 
 use nalgebra::Matrix6;
 
-use super::chain::{Blocks, SIZE, Square, ZERO};
+use super::chain::{ChainBlock, ChainBlocks, SIZE, ZERO};
 use super::resisted;
 use crate::lanes::base::HeldEnd;
 use crate::lanes::place::Slots;
 use cosserat::ends::Joint;
 
-/// Rows of [`Solver::rates`](super::Solver::rates): `m/h`, and `J/h`.
+/// Rows of [`StepSolver::rates`](super::StepSolver::rates): `m/h`, and `J/h`.
 pub const RATE_ROWS: usize = 4;
 
 /// Rows of the matrix: four blocks of an element, row by row, the spin inertia of a node, and what resists it.
@@ -28,7 +28,7 @@ pub struct Equations<'a> {
 impl Equations<'_> {
     /// A block of the element to the right of a node, added to a square.
     #[inline(always)]
-    fn add(&self, q: usize, block: usize, out: &mut Square) {
+    fn add(&self, q: usize, block: usize, out: &mut ChainBlock) {
         let place = self.slots.place(q);
         let at = self.slots.index(place, EQUATION_ROWS, 36 * block);
         let numbers = &self.rows[at..][..35 * self.slots.n_lanes + 1];
@@ -43,7 +43,7 @@ impl Equations<'_> {
 impl Equations<'_> {
     /// Replaces the equations of motions that are held in a block of two nodes: they are unit equations, and nothing else depends on them.
     #[inline(always)]
-    fn hold(&self, block: &mut Square, row: usize, column: usize) {
+    fn hold(&self, block: &mut ChainBlock, row: usize, column: usize) {
         for HeldEnd { joint, .. } in self.ends {
             if joint.node == row || joint.node == column {
                 hold(block, joint, row, column);
@@ -55,7 +55,7 @@ impl Equations<'_> {
 /// `P A`, `A P`, or on the diagonal `P A P + 1 - P`, with the projection onto the free motions of a joint.
 #[cold]
 #[inline(never)]
-fn hold(block: &mut Square, joint: &Joint, row: usize, column: usize) {
+fn hold(block: &mut ChainBlock, joint: &Joint, row: usize, column: usize) {
     let p = joint.projection();
     let mut a = Matrix6::from_fn(|i, j| block[j].0[i]);
     if joint.node == row {
@@ -74,9 +74,9 @@ fn hold(block: &mut Square, joint: &Joint, row: usize, column: usize) {
     }
 }
 
-impl Blocks for Equations<'_> {
+impl ChainBlocks for Equations<'_> {
     #[inline(always)]
-    fn diagonal(&self, i: usize) -> Square {
+    fn diagonal(&self, i: usize) -> ChainBlock {
         let mut out = ZERO;
         let q = self.first + i;
         let place = self.slots.place(q);
@@ -101,7 +101,7 @@ impl Blocks for Equations<'_> {
     }
 
     #[inline(always)]
-    fn beside(&self, i: usize, j: usize) -> Square {
+    fn beside(&self, i: usize, j: usize) -> ChainBlock {
         let mut out = ZERO;
         let (block, q) = if i < j { (1, i) } else { (2, j) };
         self.add(self.first + q, block, &mut out);

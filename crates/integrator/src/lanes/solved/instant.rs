@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use pulp::{Simd, WithSimd};
 
 use super::coupling::{Instant, SolvedRule};
-use crate::lanes::element::{Chord, Pose, excess, proportional};
+use crate::lanes::element::{Chord, FramedPose, excess, proportional};
 use crate::lanes::rule::{STRAINED_ROWS, Strained, Stress};
 use crate::lanes::sweep::{POSITION, STATE_ROWS};
 use crate::lanes::vector::{Frame, Quaternion, Row, Vec3, blocks, blocks_mut};
@@ -47,16 +47,16 @@ impl<R: SolvedRule> WithSimd for Settle<'_, R> {
 }
 
 #[inline(always)]
-pub(super) fn pose<S: Simd>(simd: S, rows: &[Row<S>], at: usize) -> Pose<S> {
-    Pose::of(
+pub(super) fn pose<S: Simd>(simd: S, rows: &[Row<S>], at: usize) -> FramedPose<S> {
+    FramedPose::of(
         Vec3::load(simd, rows, at),
         Quaternion::load(simd, rows, at + 3),
     )
 }
 
 #[inline(always)]
-pub(super) fn next_lane<S: Simd>(pose: Pose<S>) -> Pose<S> {
-    Pose {
+pub(super) fn next_lane<S: Simd>(pose: FramedPose<S>) -> FramedPose<S> {
+    FramedPose {
         position: pose.position.next_lane(),
         rotation: pose.rotation.next_lane(),
         frame: pose.frame.next_lane(),
@@ -64,8 +64,8 @@ pub(super) fn next_lane<S: Simd>(pose: Pose<S>) -> Pose<S> {
 }
 
 #[inline(always)]
-pub(super) fn framed<S: Simd>(simd: S, trial: &[Row<S>], end: &[Row<S>]) -> Pose<S> {
-    Pose {
+pub(super) fn framed<S: Simd>(simd: S, trial: &[Row<S>], end: &[Row<S>]) -> FramedPose<S> {
+    FramedPose {
         position: Vec3::load(simd, trial, 0),
         rotation: Quaternion::load(simd, trial, 3),
         frame: Frame::load(simd, end, 0),

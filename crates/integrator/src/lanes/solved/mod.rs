@@ -35,7 +35,7 @@ use self::chain::Chain;
 pub use self::coupling::SolvedRule;
 use self::equations::{EQUATION_ROWS, RATE_ROWS};
 use self::instant::{INSTANT_ROWS, Settle};
-use self::step::{ORDERS, Outcome, SolvedStep};
+use self::step::{ORDERS, SolvedStep, StepOutcome};
 use self::trial::{PUSHED, RESIDUAL, SPUN, TRIAL_ROWS, TURNED};
 use self::winches::{WinchFactors, Winches};
 use super::constants::Constants;
@@ -55,7 +55,7 @@ use cosserat::time::TimeScheme;
 
 /// Memory of solved steps: matrices and factors that are reused, and the motions that one step hands to the next.
 #[derive(Clone, Debug)]
-pub struct Solver {
+pub struct StepSolver {
     slots: Slots,
     first: usize,
     weights: IntervalWeights,
@@ -151,7 +151,7 @@ impl Rounding {
     }
 }
 
-impl Solver {
+impl StepSolver {
     /// `None` for a rod without stress that depends on both ends of an interval.
     pub fn new(rod: &Rod, slots: Slots, time_step: f64) -> Option<Self> {
         let weights = IntervalWeights::of(rod, time_step)?;
@@ -317,16 +317,16 @@ impl LaneIntegrator<'_> {
             },
         );
         let failure = match outcome {
-            Outcome::Unsolved(iterations) => Some(self.unsolved(&solver, iterations)),
-            Outcome::TurnsTooFar => Some(self.too_far(&solver)),
-            Outcome::Solved | Outcome::Lost | Outcome::Left => None,
+            StepOutcome::Unsolved(iterations) => Some(self.unsolved(&solver, iterations)),
+            StepOutcome::TurnsTooFar => Some(self.too_far(&solver)),
+            StepOutcome::Solved | StepOutcome::Lost | StepOutcome::Left => None,
         };
         solver.instants.swap(0, 1);
         self.solver = Some(solver);
         if let Some(failure) = failure {
             return Err(failure);
         }
-        if outcome != Outcome::Solved {
+        if outcome != StepOutcome::Solved {
             self.find_error(InertiaRule::Constant, None, false)?;
         }
         self.arrive(control[1], base.map(|(base, _)| base));
@@ -334,7 +334,7 @@ impl LaneIntegrator<'_> {
     }
 
     /// The node that is farthest from solving the equations of a step.
-    fn unsolved(&self, solver: &Solver, iterations: usize) -> StepError {
+    fn unsolved(&self, solver: &StepSolver, iterations: usize) -> StepError {
         let of = |node: usize, row: usize| -> Vector3<f64> {
             let at = solver
                 .slots
@@ -374,7 +374,7 @@ impl LaneIntegrator<'_> {
     }
 
     /// The first node that turns by more than a quarter turn.
-    fn too_far(&self, solver: &Solver) -> StepError {
+    fn too_far(&self, solver: &StepSolver) -> StepError {
         let ratio = |node: usize| {
             let at = solver
                 .slots

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use nalgebra::Vector3;
 use pulp::{Simd, WithSimd};
 
-use super::Solver;
+use super::StepSolver;
 use super::chain::SIZE;
 use super::coupling::{ActiveCoupling, SolvedRule};
 use super::equations::{EQUATION_ROWS, Equations, RATE_ROWS, RESISTED, SPIN};
@@ -53,7 +53,7 @@ const SLOW: f64 = 0.1;
 
 /// Outcome of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
+pub enum StepOutcome {
     Solved,
     /// Solved, but a momentum or a force at its end is not finite, or an element has folded.
     Lost,
@@ -84,7 +84,7 @@ pub struct SolvedStep<'a, R> {
     pub active: Option<&'a ActiveLanes>,
     /// Winches of an implicit step.
     pub winches: Option<Winches<'a>>,
-    pub solver: &'a mut Solver,
+    pub solver: &'a mut StepSolver,
     /// Pose of a base that is held, at the end of the step.
     pub held: Option<[f64; 7]>,
     /// The other ends that are held in part or in whole.
@@ -98,10 +98,10 @@ pub struct SolvedStep<'a, R> {
 }
 
 impl<R: SolvedRule> WithSimd for SolvedStep<'_, R> {
-    type Output = Outcome;
+    type Output = StepOutcome;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> Outcome {
+    fn with_simd<S: Simd>(self, simd: S) -> StepOutcome {
         let scale = 1.0 / (1.0 + self.half_damping);
         let mut work = Work::<S, R> {
             simd,
@@ -132,7 +132,7 @@ struct Work<'a, S: Simd, R> {
     kinds: &'a [[usize; 2]],
     active: Option<&'a ActiveLanes>,
     winches: Option<Winches<'a>>,
-    solver: &'a mut Solver,
+    solver: &'a mut StepSolver,
     held: Option<[f64; 7]>,
     ends: &'a [HeldEnd],
     /// `h/(1 + a)`
@@ -159,12 +159,12 @@ fn active_blocks<'a, S: Simd>(
 
 impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     #[inline(always)]
-    fn advance(&mut self) -> Outcome {
+    fn advance(&mut self) -> StepOutcome {
         let mut begins_again = !self.solver.stale && self.solver.scheme == TimeScheme::Implicit;
         let mut method = Method::Simplified;
         loop {
             let outcome = self.solve(method);
-            if outcome != Outcome::Left {
+            if outcome != StepOutcome::Left {
                 return outcome;
             }
             self.solver.stale = true;
@@ -181,7 +181,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
 
     /// The step, from its beginning on.
     #[inline(always)]
-    fn solve(&mut self, method: Method) -> Outcome {
+    fn solve(&mut self, method: Method) -> StepOutcome {
         let sizes = self.begin();
         let is_newton = method == Method::Newton;
         let mut fresh = is_newton;
@@ -199,9 +199,9 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         let (tolerance, unfolded) = loop {
             let trial = self.attempt();
             let given_up = if is_newton {
-                Outcome::Unsolved(corrections)
+                StepOutcome::Unsolved(corrections)
             } else {
-                Outcome::Left
+                StepOutcome::Left
             };
             if !trial.finite {
                 return given_up;
@@ -242,15 +242,15 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         };
         let turns_are_small = self.turns_are_small();
         if !is_newton && (!unfolded || !turns_are_small) {
-            return Outcome::Left;
+            return StepOutcome::Left;
         }
         if !turns_are_small {
-            return Outcome::TurnsTooFar;
+            return StepOutcome::TurnsTooFar;
         }
         self.solver.note_corrections(corrections, fresh);
         match self.finish(tolerance) {
-            true if unfolded => Outcome::Solved,
-            _ => Outcome::Lost,
+            true if unfolded => StepOutcome::Solved,
+            _ => StepOutcome::Lost,
         }
     }
 
@@ -258,7 +258,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     #[inline(always)]
     fn begin(&mut self) -> Sizes {
         let simd = self.simd;
-        let Solver {
+        let StepSolver {
             rates,
             trial,
             differences,
@@ -317,7 +317,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     #[inline(always)]
     fn attempt(&mut self) -> Trial {
         let simd = self.simd;
-        let Solver {
+        let StepSolver {
             slots,
             rates,
             trial,
@@ -482,7 +482,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     #[inline(always)]
     fn factor(&mut self) {
         let simd = self.simd;
-        let Solver {
+        let StepSolver {
             slots,
             first,
             rates,
@@ -565,7 +565,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     #[inline(always)]
     fn correct(&mut self, shortens: bool) -> bool {
         let simd = self.simd;
-        let Solver {
+        let StepSolver {
             slots,
             first,
             trial,
@@ -656,7 +656,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     #[inline(always)]
     fn finish(&mut self, tolerance: [f64; 2]) -> bool {
         let simd = self.simd;
-        let Solver {
+        let StepSolver {
             rates,
             trial,
             instants: [start, end],
