@@ -1,6 +1,7 @@
 //! The Kalman filter: what it carries its error with, whether the error is as large as it says, and what it finds.
 
 use crate::estimating;
+use crate::tracking::tendon_arm;
 
 use estimating::{
     Truth, all_disturbances, at_rest, command, hanging, moving, normal, rod, scale, unit, upright,
@@ -15,14 +16,14 @@ use softarm::mechanics::sensitivity::{RepeatedForward, transition};
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::strain_coordinates::{retract_shape, shape_difference};
 use softarm::mechanics::{
-    Configuration, Load, LoadFrame, NodeInertia, NodeWrenches, Rod, State, Stepper, TimeGrid,
-    TimeScheme, Trajectory, Wrench,
+    Configuration, Friction, Load, LoadFrame, NodeInertia, NodeWrenches, Rod, State, Stepper,
+    TimeGrid, TimeScheme, Trajectory, Wrench,
 };
 use softarm::mpc::{
     Command, Disturbance, Estimator as _, KalmanFilter, KalmanSettings, Measurement, Predictor,
     Quantity, Reading, Sensor, SensorPreset, SensorSettings, Unknown, Unknowns,
 };
-use softarm::task::Arm;
+use softarm::task::{Arm, Discretization};
 
 const PERIOD: f64 = 0.01;
 
@@ -304,6 +305,124 @@ fn predictions_are_the_linearized_motion() {
 
 fn dense(m: &faer::Mat<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)])
+}
+
+/// What the filter carries the friction of tendons with is the slow part of the derivative of its motion along their coefficient: of an arm
+/// whose tendons slide while it moves. A model whose tendons have none has no such component.
+#[test]
+fn predictions_know_the_friction_of_tendons() {
+    const STEP: f64 = 1e-5;
+    let asked = Discretization {
+        scheme: Some(TimeScheme::Implicit),
+        ..Discretization::with_elements(4)
+    };
+    let mut arm = tendon_arm(3e5);
+    let settings = |model: &Rod| KalmanSettings {
+        longest_step: 2e-3,
+        ..Unknowns::of(&[Unknown::Friction]).settings(model, PERIOD)
+    };
+    let without = arm.rod(&asked).unwrap();
+    let filter = KalmanFilter::new(&without, 0.0, &at_rest(&without), &settings(&without));
+    let n_state = NODE_COMPONENTS * (without.n_nodes() - without.first_free_node());
+    assert_eq!(filter.unwrap().covariance().nrows(), n_state);
+    // Their coefficients differ, and what is added is the same.
+    for (tendon, coefficient) in arm.actuators.iter_mut().zip([0.1, 0.2, 0.1, 0.3]) {
+        tendon.friction = Some(Friction {
+            coefficient,
+            ..Friction::default()
+        });
+    }
+    let model = arm.rod(&asked).unwrap();
+    let settings = settings(&model);
+    let state = moving(&model, 1);
+    let state = State::at_rest(model.rest.clone()).retract(&{
+        let mut tangent = state.difference(&State::at_rest(model.rest.clone()));
+        for part in [
+            &mut tangent.positions,
+            &mut tangent.rotations,
+            &mut tangent.linear,
+            &mut tangent.angular,
+        ] {
+            part.iter_mut().for_each(|v| *v *= 0.1);
+        }
+        tangent
+    });
+    let act = Command {
+        start: 0.0,
+        end: PERIOD,
+        efforts_from: vec![0.0, 0.2, 0.0, -0.1],
+        efforts_to: vec![1.0, 0.0, 0.5, -0.1],
+        ..Command::default()
+    };
+    let mut filter = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();
+    filter.advance(&act, PERIOD).unwrap();
+    let [_, along_disturbance] = filter.transition();
+    let mut predictor = Predictor::new(&model, settings.longest_step);
+    let [minus, plus] = [-STEP, STEP].map(|added| {
+        let mut end = state.clone();
+        let disturbance = Disturbance::NONE.with(Unknown::Friction, &[added]);
+        (predictor.advance(&mut end, [0.0, PERIOD], &act, &disturbance)).unwrap();
+        end
+    });
+    let difference = plus.difference(&minus);
+    let slope: Vec<f64> = (difference.components_from(model.first_free_node()))
+        .map(|value| value / (2.0 * STEP))
+        .collect();
+    let expected = slow_part(&model, &filter.estimate().state.configuration, &slope);
+    assert_eq!(along_disturbance.ncols(), 1);
+    let scaled = |row: usize, value: f64| value / scale(&model, row);
+    let rows = expected.iter().enumerate();
+    let largest = rows.fold(0.0, |most: f64, (row, own)| {
+        most.max(scaled(row, *own).abs())
+    });
+    assert!(largest > 1e-3, "{largest}");
+    for (row, expected) in expected.iter().enumerate() {
+        let error = scaled(row, along_disturbance[(row, 0)] - expected);
+        // Differences of 1e-4 and 1e-5 in the coefficient, to their square and to rounding over them.
+        assert!(error.abs() < 1e-6 * largest, "{row}: {error} of {largest}");
+    }
+}
+
+/// The table has the order of the unknowns, the names of scenes, a symbol for every column, and no name twice; a disturbance that is written
+/// and read again as JSON is the same, and a number that is left out is that of the model.
+#[test]
+fn unknowns_are_rows_of_one_table() {
+    let mut names = std::collections::BTreeSet::new();
+    let mut disturbance = Disturbance::NONE;
+    for (i, row) in Unknown::TABLE.iter().enumerate() {
+        assert_eq!(row.unknown as usize, i);
+        assert_eq!(serde_json::to_value(row.unknown).unwrap(), row.key);
+        assert_eq!(row.symbols.len(), row.columns.len());
+        assert!(
+            names.insert(row.field)
+                && row
+                    .columns
+                    .iter()
+                    .all(|own| names.insert(*own) || *own == row.field)
+        );
+        for (axis, value) in disturbance.of_mut(row.unknown).iter_mut().enumerate() {
+            *value += 0.1 / (i + axis + 3) as f64;
+        }
+    }
+    let text = serde_json::to_string(&disturbance).unwrap();
+    assert_eq!(
+        serde_json::from_str::<Disturbance>(&text).unwrap(),
+        disturbance
+    );
+    let part: Disturbance = serde_json::from_str(r#"{"payload_kg": 0.2}"#).unwrap();
+    assert_eq!(part, Disturbance::NONE.with(Unknown::Payload, &[0.2]));
+    for wrong in [
+        r#"{"payload": 0.2}"#,
+        r#"{"payload_kg": 0.2, "payload_kg": 0.2}"#,
+        r#"{"tip_force_n": [1.0, 2.0]}"#,
+        r#"{"delay_s": [1.0]}"#,
+        "[]",
+    ] {
+        assert!(
+            serde_json::from_str::<Disturbance>(wrong).is_err(),
+            "{wrong}"
+        );
+    }
 }
 
 /// Covariance that the components of the error gain within a second, at a shape, as `S Sᵀ`, from the definitions: the momenta

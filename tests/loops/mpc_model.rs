@@ -7,7 +7,7 @@ use softarm::control::{
 use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme,
+    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme, Winch,
     static_equilibrium,
 };
 use softarm::mpc::{Controller, Disturbance, MpcSettings, Unknown};
@@ -356,6 +356,56 @@ fn slopes_along_efforts_agree_with_differences() {
         let controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
         // Steps that are solved for have the rounding of their solution, which a longer difference divides by more.
         compare_slopes(controller, 0.05, 1e-3);
+    }
+}
+
+/// Derivatives of the rows that keep tendons of winches taut, along the displacements themselves and along what these do to the shape, with
+/// both integrators; without `keeps_taut` there are no such rows.
+#[test]
+fn slopes_of_taut_tendons_agree_with_differences() {
+    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+        let (mut arm, mut efforts) = tendon_arm();
+        for control in &mut efforts {
+            let tendon = &mut arm.actuators[control.actuator];
+            tendon.winch = Some(Winch {
+                compliance: 5e-3,
+                outside: 0.05,
+            });
+            tendon.effort = vec![(0.0, -8e-3)];
+            tendon.largest = 24e-3;
+            control.bounds = [-24e-3, -1e-3];
+            control.rate = None;
+        }
+        let discretization = Discretization {
+            samples: 4,
+            scheme: Some(scheme),
+            ..Discretization::with_elements(4)
+        };
+        let mut task = Task {
+            targets: vec![Target {
+                position: Some(Vector3::new(0.02, 0.01, -0.28)),
+                rest: Rest::Instant,
+                ..Target::default()
+            }],
+            actuators: Vec::new(),
+            efforts,
+            ..Task::reach(Vector3::zeros(), 0.2, 1.0)
+        };
+        let settings = MpcSettings {
+            block: 0.05,
+            due: Some(0.2),
+            ..MpcSettings::receding(0.2)
+        };
+        let make = |task: &Task| Controller::new(&arm, task, &discretization, &settings).unwrap();
+        let n_rows = |mut controller: Controller| {
+            let mut parts = controller.parts();
+            let plan = vec![0.0; parts.n_coefficients()];
+            parts.values(&plan).unwrap()[1].len()
+        };
+        assert_eq!(n_rows(make(&task)), 4 * 4);
+        compare_slopes(make(&task), 0.05, 1e-4);
+        task.keeps_taut = false;
+        assert_eq!(n_rows(make(&task)), 0);
     }
 }
 

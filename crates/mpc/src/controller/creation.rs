@@ -12,7 +12,8 @@ use crate::estimator::Motions;
 use crate::horizon::Horizon;
 use crate::knots::Knots;
 use crate::subproblem::{Subproblem, SubproblemEnd};
-use control::OptimalControlProblem;
+use control::path::PathEnforcement;
+use control::{OptimalControlProblem, PathConstraint};
 use mechanics::Wrench;
 use mechanics::linearization::StateTangent;
 use stop::StopSignal;
@@ -30,6 +31,8 @@ const SAMPLES_A_BLOCK: usize = 2;
 /// a receding loop, `4 effort block²`. Without any, errors of the model in fast waves make commands oscillate between their bounds
 /// (decision 50).
 const BLOCKS_A_CHANGE: f64 = 2.0;
+/// Distance of a winch from where it costs no effort, in its scale, up to which the limit that keeps its tendon taut outweighs effort.
+const FARTHEST: f64 = 3.0;
 /// Cap on the iterations before the first sample, for which nothing waits yet.
 const FIRST: usize = 50;
 
@@ -177,7 +180,7 @@ impl OneHorizon {
             period_and_horizon(chosen.grid.step, chosen.rod.scheme, settings);
         cut.step = Some(in_horizon.step);
         let mut problem = task.discretize_until(arm, &cut, stop)?.discrete;
-        keep_taut(&mut problem, task.keeps_taut);
+        keep_taut(&mut problem, task.keeps_taut, settings.horizon);
         for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
             if held.rotations.is_empty() && held.directions.is_empty() {
                 held.weight *= HELD_NEARER;
@@ -208,14 +211,34 @@ impl OneHorizon {
 }
 
 /// Gives a plan the limit that keeps tendons of winches taut, by any scheme, or none.
-fn keep_taut(problem: &mut OptimalControlProblem, keeps: bool) {
+///
+/// A slack tendon does not feel its winch, so that the price of effort alone moves it, to where it costs nothing, and no plan tightens it
+/// again. The price of the limit is above that of effort there: with `c` the weight of effort, of the rate over a horizon too, `s` the scale
+/// of a winch and `u` the unit of a row, a displacement of [`FARTHEST`] `s` from where it costs nothing pulls a row by `c u/s` times as much.
+/// A higher price would have the plan answer to every length of a tendon that the noise of sensors makes up (decision 131).
+fn keep_taut(problem: &mut OptimalControlProblem, keeps: bool, horizon: f64) {
     (problem.path).retain(|path| !path.limit.depends_on_inputs());
-    if keeps {
-        let limit = taut_limit(problem);
-        problem.path.extend(limit);
-        if let Some(stay) = problem.stay.clone() {
-            allow_slack(problem, &stay);
-        }
+    let Some(limit) = keeps.then(|| taut_limit(problem)).flatten() else {
+        return;
+    };
+    let least = (problem.driven().filter(|(drive, _)| drive.winch.is_some()))
+        .map(|(_, channel)| channel.scale)
+        .fold(f64::INFINITY, f64::min);
+    let objective = &problem.objective;
+    let weight = objective.effort + objective.rate / (horizon * horizon);
+    let price = FARTHEST * weight * limit.limit.scale(&problem.rod) / least;
+    if !(price.is_finite() && price > 0.0) {
+        return;
+    }
+    problem.path.push(PathConstraint {
+        enforcement: PathEnforcement::Soft {
+            linear: price,
+            quadratic: price,
+        },
+        ..limit
+    });
+    if let Some(stay) = problem.stay.clone() {
+        allow_slack(problem, &stay);
     }
 }
 

@@ -352,12 +352,6 @@ impl Unknown {
         (0..N_UNKNOWNS).map(|i| Self::TABLE[i].unknown)
     }
 
-    /// Returns the unknown with a name in scenes.
-    #[must_use]
-    pub fn of_key(key: &str) -> Option<Self> {
-        Self::all().find(|own| own.row().key == key)
-    }
-
     /// Returns the ends of the names of all columns in `samples.csv`, in their order.
     pub fn columns() -> impl Iterator<Item = &'static str> {
         Self::all().flat_map(|own| own.row().columns).copied()
