@@ -11,7 +11,7 @@ use super::model::{
 use super::section::profile;
 use super::source::SceneSource;
 use super::values::{Instant, Number, Positive, digits, known};
-use crate::control::OptimalControlProblem;
+use crate::control::{OptimalControlProblem, rounding_of};
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
@@ -162,7 +162,7 @@ impl Scene {
         // Where the arm stays is for the controller alone to find out, and only where the task is due.
         let passing = task.clone().stopping();
         let settings = mpc.settings(horizon, due.map(Number::get));
-        let asked = with_long_steps(&rod, &asked, &settings);
+        let asked = with_long_steps(&rod, &task, &asked, &settings);
         let blocks = (horizon / settings.block).round().max(1.0) as usize;
         let posed = passing
             .discretize_until(&arm, &Discretization { blocks, ..asked }, stop)
@@ -211,6 +211,7 @@ impl Scene {
 
         let mut warnings = self.concerns(due, duration);
         warnings.extend(self.sharp_sensors(&sensors, &model));
+        warnings.extend(seldom_asked(&task, asked.step, period));
         let task = Task {
             keeps_taut: self.control.as_ref().is_none_or(|own| own.keep_taut),
             ..if due.is_some() { task } else { passing }
@@ -512,6 +513,17 @@ fn with_weights_of(mut task: Task, problem: &OptimalControlProblem) -> Task {
     task.cost.force_scale = tip.map(|tip| tip.force.scale);
     task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
     task
+}
+
+/// Returns a warning that steps of the model, s, are longer than the period, s, of a loop with limits, which are asked once in a step.
+fn seldom_asked(task: &Task, step: Option<f64>, period: f64) -> Option<String> {
+    let step = step.filter(|step| *step > period + rounding_of(period))?;
+    (!task.limits.is_empty()).then(|| {
+        format!(
+            "time.step_s = {step} is longer than mpc.period_s = {period}: limits are kept at every step of the plan, and not at the end of every sample; \
+             give the period, or leave time.step_s out"
+        )
+    })
 }
 
 /// Returns half of the first natural period about the start, s, at most `longest` and at least ten samples, as a whole number of samples.

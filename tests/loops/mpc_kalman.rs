@@ -1,5 +1,6 @@
 //! The Kalman filter: what it carries its error with, whether the error is as large as it says, and what it finds.
 
+use crate::commands::of_efforts;
 use crate::estimating;
 use crate::tracking::tendon_arm;
 
@@ -347,13 +348,8 @@ fn predictions_know_the_friction_of_tendons() {
         }
         tangent
     });
-    let act = Command {
-        start: 0.0,
-        end: PERIOD,
-        efforts_from: vec![0.0, 0.2, 0.0, -0.1],
-        efforts_to: vec![1.0, 0.0, 0.5, -0.1],
-        ..Command::default()
-    };
+    let added: [&[f64]; 2] = [&[0.0, 0.2, 0.0, -0.1], &[1.0, 0.0, 0.5, -0.1]];
+    let act = of_efforts(&model, [0.0, PERIOD], added);
     let mut filter = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();
     filter.advance(&act, PERIOD).unwrap();
     let [_, along_disturbance] = filter.transition();

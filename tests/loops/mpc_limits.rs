@@ -8,10 +8,10 @@ use nalgebra::Vector3;
 use rates::{ROUNDING, Watch};
 use softarm::control::path::{PathEnforcement, RodView};
 use softarm::control::{Bound, Hold, NodeForm, Shape, SharedTerm, StateCost, StateTerm, StateView};
-use softarm::mechanics::{Energy, Rod, TimeGrid, Trajectory};
+use softarm::mechanics::{Energy, Rod, TimeGrid, TimeScheme, Trajectory};
 use softarm::mpc::{
-    Computing, Contender, Experiment, FallbackSettings, MpcSettings, Sensing, SensorChoice,
-    SensorPreset, SensorSettings, Unknown, Unknowns,
+    Computing, Contender, Controller, Experiment, FallbackSettings, KEPT, MpcSettings, Sensing,
+    SensorChoice, SensorPreset, SensorSettings, Unknown, Unknowns,
 };
 use softarm::task::{ChannelLimits, Discretization, Limit, PathLimit, Place, Task};
 
@@ -117,6 +117,72 @@ fn limits_are_kept() {
         assert!(with < 0.01, "{name}: {with}");
         assert!(off < 0.5, "{name}: {off}");
     }
+}
+
+/// Where the plant is the model, of which a curvature takes the most and the waves of the arm are not damped, the arm keeps a limit at the end of
+/// every sample as its plans do: to first order in the change of the plan, of whose error a thousandth of the limit is left.
+#[test]
+fn what_is_kept_stays_kept_on_the_model() {
+    let bend = PathLimit::Curvature { largest: 0.5 };
+    let mut own = scene(vec![limit(bend.clone(), PathEnforcement::Hard)]);
+    own.discretization.scheme = Some(TimeScheme::Explicit);
+    own.plant_discretization = own.discretization;
+    let (with, _) = excess(&own, &bend);
+    // Rows are scaled by the length, which is 1 m.
+    assert!(with < 1e-3 * 0.5, "{with}");
+}
+
+/// A controller that has followed its own plan until a ball of 5 cm comes to `x` (m), where it will be for good; `largest_force` in N.
+fn met_a_ball(x: f64, largest_force: f64, price: Option<f64>) -> Controller {
+    let far = Vector3::new(2.0, 0.0, 0.98);
+    let ball = PathLimit::Clearance {
+        shape: Shape::Sphere {
+            center: far,
+            radius: 0.05,
+        },
+        velocity: Vector3::zeros(),
+        margin: 0.0,
+        points: None,
+    };
+    let mut own = scene(vec![limit(ball, PathEnforcement::Hard)]);
+    own.task.actuators[0].force = ChannelLimits::at_most(largest_force);
+    own.task.cost.tracks[0].weight = Some(1e6);
+    own.mpc.limit_price = price;
+    let mut controller =
+        Controller::new(&own.arm, &own.task, &own.discretization, &own.mpc).unwrap();
+    let follow = |controller: &mut Controller, n: usize| {
+        for _ in 0..n {
+            let state = controller.expected().clone();
+            controller.step(&state).unwrap();
+        }
+    };
+    follow(&mut controller, 60);
+    let by = Vector3::new(x, 0.0, 0.98) - far;
+    let still = Vector3::zeros();
+    (controller.move_obstacle("limit", 0.0, &by, &still)).unwrap();
+    // The first of two samples still has the horizon that was prepared before.
+    follow(&mut controller, 2);
+    controller
+}
+
+/// The first plan that knows of a ball on its way keeps clear of it, although that is worth more than the price with which a controller begins; where
+/// the ball is in the arm already, no plan can, and the sample says by how much the limit gave way.
+#[test]
+fn limits_hold_in_the_first_sample_that_knows_them() {
+    // The tip is at 0.04 m and goes on by as much again within the horizon; the arm has a radius of 0.05 m.
+    let touches = 0.15;
+    let kept = KEPT * 0.1;
+    let cheap = met_a_ball(touches, 20.0, Some(5e3));
+    assert!(cheap.record().violation > kept, "{:?}", cheap.record());
+    let hard = met_a_ball(touches, 20.0, None);
+    assert!(hard.record().violation <= kept, "{:?}", hard.record());
+    assert_eq!(hard.gave_way().count(), 0);
+
+    let inside = met_a_ball(0.1, 20.0, None);
+    let found: Vec<_> = inside.gave_way().collect();
+    // Of an arm of 1 m, rows are in m.
+    assert_eq!(found, [("limit", inside.record().violation)]);
+    assert!(found[0].1 > kept && inside.record().breaks_limit);
 }
 
 /// A price below what the detour is worth is paid, and a dear one is not.

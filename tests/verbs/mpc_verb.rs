@@ -874,7 +874,18 @@ fn obstacles_are_kept_clear_of_or_told() {
     let weak = ["--set", "control.force_max_n=0.02"];
     desk.run(&[&["mpc", "crossed.toml", "--out", "weak"], &weak[..]].concat());
     assert_eq!(ball("weak")["violated"], true);
-    assert!(desk.summary("weak")["breaking"].as_u64().unwrap() > 10);
+    let breaking = &desk.summary("weak")["breaking"];
+    assert!(breaking.as_u64().unwrap() > 10);
+    let gave_way = &ball("weak")["gave_way"];
+    assert_eq!(&gave_way["samples"], breaking);
+    assert!(
+        gave_way["by"].as_f64().unwrap() > 0.01 * 0.042,
+        "{gave_way}"
+    );
+    let (header, rows) = desk.samples("weak");
+    let in_samples = |name: &str| header.iter().position(|own| own == name).unwrap();
+    let gave = (rows.iter()).filter(|row| row[in_samples("gave_way")] == "true");
+    assert_eq!(gave.count() as u64, breaking.as_u64().unwrap());
     assert!(advice("weak").contains("no command within the bounds"));
 }
 

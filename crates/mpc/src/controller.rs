@@ -51,7 +51,7 @@ pub struct SampleRecord {
     pub subproblem: SubproblemEnd,
     /// Largest violation of a limit in the plan, to first order and in the scale of the limit; 0 for none.
     pub violation: f64,
-    /// Tells whether the plan violates a limit although a violation has the highest price: the limit cannot be kept.
+    /// Tells whether a limit [gave way](Controller::gave_way): the plan violates it although a violation has the highest price.
     pub breaks_limit: bool,
 }
 
@@ -241,11 +241,11 @@ impl Controller {
         })
     }
 
-    /// Returns the names of the obstacles and limits that the last plan violates although a violation has the highest price: bounds, or the
-    /// time that is left, do not let the controller keep them.
-    pub fn broken_limits(&self) -> impl Iterator<Item = &str> {
+    /// Returns the obstacles and limits that gave way in the last plan, because bounds, or the time that is left, do not let the controller
+    /// keep them: their names, and the largest violation of each, to first order and in its unit, which is nearly the least that is possible.
+    pub fn gave_way(&self) -> impl Iterator<Item = (&str, f64)> {
         let path = &self.horizon.problem.path;
-        (self.horizon.broken_limits()).map(|limit| &path[limit].name[..])
+        (self.horizon.gave_way()).map(|(limit, by)| (&path[limit].name[..], by))
     }
 
     /// Returns the state in which the task begins.
@@ -558,14 +558,7 @@ impl Controller {
         self.write_offsets();
         self.write_inside();
         (self.horizon).write_limit_values(&self.deviation, &mut self.subproblem.soft.values);
-        let end = self.subproblem.solve(
-            &self.gradient,
-            &self.offsets,
-            &self.inside,
-            self.settings.subproblem_tolerance,
-            self.settings.subproblem_iterations,
-            &mut self.change,
-        );
+        let end = self.solve_subproblem();
         if !self.change.iter().all(|x| x.is_finite()) {
             return Err(MpcError::Subproblem);
         }
@@ -579,10 +572,33 @@ impl Controller {
         self.record.predicted_cost = cost;
         self.record.change = largest;
         self.record.subproblem = end;
-        let soft = &self.subproblem.soft;
-        self.record.violation = (self.horizon).reprice(soft, &self.change, end.iterations > 0);
-        self.record.breaks_limit = self.horizon.broken_limits().next().is_some();
+        self.record.breaks_limit = self.horizon.gave_way().next().is_some();
         Ok(())
+    }
+
+    /// Solves the subproblem, again with higher prices as long as the plan violates a limit whose price can rise: a limit gives way only where
+    /// nothing within the sets keeps it.
+    fn solve_subproblem(&mut self) -> SubproblemEnd {
+        let mut iterations = 0;
+        loop {
+            let mut end = self.subproblem.solve(
+                &self.gradient,
+                &self.offsets,
+                &self.inside,
+                self.settings.subproblem_tolerance,
+                self.settings.subproblem_iterations,
+                &mut self.change,
+            );
+            iterations += end.iterations;
+            let soft = &mut self.subproblem.soft;
+            self.record.violation =
+                (self.horizon).see_limits(soft, &self.change, end.iterations > 0);
+            if !self.horizon.raise_prices(soft) {
+                self.horizon.lower_prices();
+                end.iterations = iterations;
+                return end;
+            }
+        }
     }
 
     /// Issues the command of the present plan from `start` (s) on.

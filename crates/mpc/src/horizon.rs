@@ -207,12 +207,13 @@ pub(super) struct Horizon {
 
 impl Horizon {
     /// Creates the horizon. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated limit, `None` if it
-    /// follows the multipliers.
+    /// follows the multipliers, and `period` (s) that of the loop.
     pub fn new(
         mut problem: OptimalControlProblem,
         mut knots: Knots,
         weight: f64,
         price: Option<f64>,
+        period: f64,
     ) -> Result<Self, MpcError> {
         refuse_unsupported(&problem)?;
         let model = Arc::clone(&problem.rod);
@@ -242,7 +243,7 @@ impl Horizon {
         let trajectory = resting(&start, grid);
         let rows = {
             let whole = evaluated(&problem, (&trajectory, None), grid, &start);
-            Rows::new(&problem, &whole.states, weight, price, n_states)
+            Rows::new(&problem, &whole.states, weight, price, period, n_states)
         };
         let winches = WinchSlopes::of(&problem.rod, &on_strains, grid);
         let (sweep, pulls) = {
@@ -366,14 +367,28 @@ impl Horizon {
         self.evaluate_anew();
     }
 
-    /// Lets the prices of limits follow a plan, see [`Rows::reprice`].
-    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) -> f64 {
-        self.rows.reprice(soft, x, bounded)
+    /// Looks at the limits along a plan, see [`Rows::see`].
+    pub fn see_limits(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) -> f64 {
+        self.rows.see(soft, x, bounded)
     }
 
-    /// Indices of the limits that the last plan violates although a violation has the highest price.
-    pub fn broken_limits(&self) -> impl Iterator<Item = usize> {
-        (0..self.problem.path.len()).filter(|limit| self.rows.prices.is_broken(*limit))
+    /// Raises the prices of violated limits, see [`Rows::raise_prices`].
+    pub fn raise_prices(&mut self, soft: &mut SoftRows) -> bool {
+        self.rows.raise_prices(soft)
+    }
+
+    /// Lowers the prices of limits that are far above their multipliers.
+    pub fn lower_prices(&mut self) {
+        self.rows.prices.come_down();
+    }
+
+    /// Returns the indices of the limits that the last plan violates although a violation has the highest price, each with its largest
+    /// violation in the unit of the limit.
+    pub fn gave_way(&self) -> impl Iterator<Item = (usize, f64)> {
+        (self.problem.path.iter().enumerate()).filter_map(|(index, path)| {
+            let violation = self.rows.prices.gave_way(index)?;
+            Some((index, violation * path.limit.scale(&self.problem.rod)))
+        })
     }
 
     /// Names of the obstacles.

@@ -1,8 +1,9 @@
 //! Limits on the states over one horizon, each at the places nearest to a violation.
 //!
-//! A limit has a row `h ≤ 0` for every element or point of the arm. The controller evaluates it at every sample of the horizon but the
-//! first, which no command can change any more: of a limit on strains every element, because a strain that is taken from one element bends
-//! its neighbors, of the limit that keeps tendons taut every tendon, and of all other limits the greatest local maxima along the arm.
+//! A limit has a row `h ≤ 0` for every element or point of the arm. The controller evaluates it at every time within the horizon at which a
+//! sample of the loop ends, so that the next plan is asked at no other times than this one was: of a limit on strains every element, because
+//! a strain that is taken from one element bends its neighbors, of the limit that keeps tendons taut every tendon, and of all other limits the greatest local maxima along the arm. Nothing is
+//! asked of the beginning, which no command can change any more.
 
 use control::OptimalControlProblem;
 use control::path::{PathEnforcement, PathLimit, RodView};
@@ -14,16 +15,13 @@ const MAXIMA: usize = 2;
 
 /// Price at which a limit begins, whose price the controller finds (decision 63).
 const FIRST_PRICE: f64 = 5e3;
-/// Factor on the price of a limit from one sample to the next while the plan violates it, and by which it may come down again.
+/// Factor on the price of a limit from one subproblem to the next while the plan violates it, and by which it may come down after a sample.
 const RISE: f64 = 2.0;
 /// Cap on the factor by which a price rises. In a loop whose ball would be passed at the first price, forty times are needed; above some
 /// thousand times, rounding of the violation's price hides what the objective gains.
 const MOST_RISEN: f64 = 1024.0;
 /// Part of a price that a multiplier may have before the price counts as too low to come down: twice below one.
 const LOW: f64 = 0.25;
-/// Part of the violation up to which a limit counts as kept, beyond which its price rises: a plan is then a tenth of it off at most, and the
-/// rest is for what the arm does otherwise.
-const RISES_FROM: f64 = 0.1;
 /// Violation of a limit, divided by its [reference](PathLimit::reference), up to which it counts as kept: that of a certificate between
 /// nodes and samples.
 pub const KEPT: f64 = 0.01;
@@ -31,9 +29,10 @@ pub const KEPT: f64 = 0.01;
 /// Prices of the limits of a controller: exact penalties whose weights follow the multipliers.
 ///
 /// A penalty `w σ` keeps a limit exactly if `w` is above the multiplier that the limit has as a constraint (Nocedal and Wright 2006, theorem
-/// 17.3), which is the pull of the objective and known only together with the solution. The price of a limit rises while the plan violates
-/// it, and comes down while its multipliers are far below (steering: Byrd, Nocedal and Waltz 2008). The plan does not depend on a price above
-/// the multipliers. A limit that is violated at the highest price cannot be kept: bounds, or the time that is left, forbid it.
+/// 17.3), which is the pull of the objective and known only together with the solution. The price of a limit rises within a sample until
+/// the plan keeps it, and comes down afterwards where its multipliers are far below (steering: Byrd, Nocedal and Waltz 2008). The plan does
+/// not depend on a price above the multipliers. A limit that is violated at the highest price gives way: bounds, or the time that is left,
+/// forbid to keep it, and the plan violates it as little as they allow.
 #[derive(Debug)]
 pub(super) struct Prices {
     /// Price of a limit without a price of its own.
@@ -91,22 +90,34 @@ impl Prices {
         *largest = largest.max(share);
     }
 
-    /// Ends looking: prices of violated limits rise, those far above their multipliers come down.
-    pub fn end(&mut self) {
+    /// Raises the prices of the limits that the plan violates; returns `false` if none can rise.
+    pub fn rise(&mut self) -> bool {
+        let mut rose = false;
+        for own in self.limits.iter_mut().filter(|own| own.follows) {
+            if own.worst[0] > own.tolerance && own.factor < MOST_RISEN {
+                own.factor = (RISE * own.factor).min(MOST_RISEN);
+                rose = true;
+            }
+        }
+        rose
+    }
+
+    /// Lowers the prices that are far above their multipliers.
+    pub fn come_down(&mut self) {
         for own in self.limits.iter_mut().filter(|own| own.follows) {
             let [violation, share] = own.worst;
-            if violation > RISES_FROM * own.tolerance {
-                own.factor = (RISE * own.factor).min(MOST_RISEN);
-            } else if share < LOW {
+            if violation <= own.tolerance && share < LOW {
                 own.factor = (own.factor / RISE).max(1.0);
             }
         }
     }
 
-    /// Tells whether the last plan violates the limit with this index although its price is the highest.
-    pub fn is_broken(&self, limit: usize) -> bool {
+    /// Returns by how much the last plan violates the limit with this index at the highest price, in the scale of its rows; `None` if the
+    /// plan keeps it, and for a limit whose price is given.
+    pub fn gave_way(&self, limit: usize) -> Option<f64> {
         let own = &self.limits[limit];
-        own.follows && own.factor >= MOST_RISEN && own.worst[0] > own.tolerance
+        let gives = own.follows && own.factor >= MOST_RISEN && own.worst[0] > own.tolerance;
+        gives.then_some(own.worst[0])
     }
 }
 
@@ -117,7 +128,7 @@ pub(super) struct LimitRow {
     pub limit: usize,
     /// Time node of the sample, on the longest grid.
     pub time_node: usize,
-    /// Time node of the sample before, from which on a speed is a mean: a mean over one step would miss the waves in between.
+    /// Time node of the row before, from which on a speed is a mean: a mean over one step would miss the waves in between.
     pub before: usize,
     /// Rank among the evaluated rows: an element, or a local maximum, the greatest first.
     pub rank: usize,
@@ -130,13 +141,23 @@ impl LimitRow {
     pub const NOWHERE: f64 = -1.0;
 }
 
-/// Returns the rows of all limits at the samples of the horizon but the first, in the order of time.
-pub(super) fn limit_rows(problem: &OptimalControlProblem, prices: &Prices) -> Vec<LimitRow> {
-    let n = problem.grid.n_steps;
-    let samples = problem.objective.samples.clamp(1, n);
-    let duration = problem.grid.duration() / samples as f64;
+/// Returns the rows of all limits at the ends of the samples within the horizon, and at its own, in the order of time; `period` (s) is that
+/// of the loop. Steps of the model that are longer than the period leave one row for each step.
+pub(super) fn limit_rows(
+    problem: &OptimalControlProblem,
+    prices: &Prices,
+    period: f64,
+) -> Vec<LimitRow> {
+    let (n, step) = (problem.grid.n_steps, problem.grid.step);
+    let mut nodes: Vec<usize> = (0..=n)
+        .map(|sample| (sample as f64 * period / step).round() as usize)
+        .take_while(|node| *node < n)
+        .chain([n])
+        .collect();
+    nodes.dedup();
     let mut rows = Vec::new();
-    for [before, time_node] in (1..=samples).map(|i| [i - 1, i].map(|i| i * n / samples)) {
+    for [before, time_node] in nodes.windows(2).map(|pair| [pair[0], pair[1]]) {
+        let duration = (time_node - before) as f64 * step;
         for (limit, path) in problem.path.iter().enumerate() {
             let [linear, quadratic] = match path.enforcement {
                 PathEnforcement::Hard => [prices.first; 2],

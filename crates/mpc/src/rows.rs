@@ -93,17 +93,18 @@ fn residuals(problem: &OptimalControlProblem, weight: f64) -> Vec<Residual> {
 
 impl Rows {
     /// Creates the rows. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated hard limit, `None` if
-    /// it follows the multipliers.
+    /// it follows the multipliers, and `period` (s) that of the loop.
     pub fn new(
         problem: &OptimalControlProblem,
         states: &States,
         weight: f64,
         price: Option<f64>,
+        period: f64,
         n_states: usize,
     ) -> Self {
         let residuals = residuals(problem, weight);
         let prices = Prices::new(problem, price);
-        let limits = limit_rows(problem, &prices);
+        let limits = limit_rows(problem, &prices, period);
         let mut starts = Vec::with_capacity(residuals.len());
         // Time nodes of the forms of every row, the limits' last.
         let mut nodes: Vec<[Option<usize>; 2]> = Vec::new();
@@ -338,9 +339,7 @@ impl Rows {
     /// Writes the limits of the present horizon as rows of a subproblem of `n` variables, except for their values.
     pub fn write_limits(&self, sweep: &RepeatedReverse, n: usize, soft: &mut SoftRows) {
         let present = self.first.limit..self.limits.len();
-        soft.prices.clear();
-        soft.prices
-            .extend((self.limits[present.clone()].iter()).map(|row| self.prices.of(row)));
+        self.write_prices(soft);
         soft.values.clear();
         soft.values.resize(soft.prices.len(), LimitRow::NOWHERE);
         for (at, index) in present.enumerate() {
@@ -368,9 +367,24 @@ impl Rows {
         }
     }
 
-    /// Lets the prices of limits follow the plan at `x`, the solution of a subproblem with these rows; `bounded` tells whether a set or a row
-    /// bounds it. Returns the largest violation of the plan, 0 for none.
-    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) -> f64 {
+    fn write_prices(&self, soft: &mut SoftRows) {
+        let present = self.limits[self.first.limit..].iter();
+        soft.prices.clear();
+        soft.prices.extend(present.map(|row| self.prices.of(row)));
+    }
+
+    /// Raises the prices of the limits that the plan last seen violates; returns `false` if none can rise.
+    pub fn raise_prices(&mut self, soft: &mut SoftRows) -> bool {
+        let rose = self.prices.rise();
+        if rose {
+            self.write_prices(soft);
+        }
+        rose
+    }
+
+    /// Looks at the limits along the plan at `x`, the solution of a subproblem with these rows; `bounded` tells whether a set or a row bounds
+    /// it. Returns the largest violation, 0 for none.
+    pub fn see(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) -> f64 {
         let mut largest = 0.0f64;
         self.prices.begin();
         for (at, row) in self.limits[self.first.limit..].iter().enumerate() {
@@ -379,7 +393,6 @@ impl Rows {
             self.prices.see(row.limit, value, share);
             largest = largest.max(value);
         }
-        self.prices.end();
         largest
     }
 

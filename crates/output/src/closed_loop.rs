@@ -140,7 +140,7 @@ pub struct MpcSummary {
     pub innovations: Option<Innovations>,
     /// Number of samples with active bounds.
     pub bounded: usize,
-    /// Samples whose plan violates an obstacle or a limit that no command within the bounds keeps.
+    /// Samples in which an obstacle or a limit gave way: the plan violates it, because no command within the bounds keeps it.
     pub breaking: usize,
     /// Nearest approaches to obstacles and limits, at the ends of samples.
     pub limits: Vec<LimitPeak>,
@@ -193,6 +193,38 @@ pub struct LimitPeak {
     pub at_s: f64,
     /// Node of the plant, or first node of the element.
     pub node: usize,
+    /// The samples whose plan violates the limit, because no command within the bounds keeps it; absent without any.
+    #[serde(skip_serializing_if = "GaveWay::is_nowhere")]
+    pub gave_way: GaveWay,
+}
+
+/// The samples in which a limit gave way.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct GaveWay {
+    /// Number of samples.
+    pub samples: usize,
+    /// Time at which the first one began, s.
+    pub from_s: f64,
+    /// Time at which the last one began, s.
+    pub to_s: f64,
+    /// Largest violation along their plans, in the unit of the limit.
+    pub by: f64,
+}
+
+impl GaveWay {
+    /// Notes a sample that began at `t` (s), and the violation along its plan.
+    pub fn note(&mut self, t: f64, by: f64) {
+        if self.samples == 0 {
+            self.from_s = t;
+        }
+        self.samples += 1;
+        self.to_s = t;
+        self.by = self.by.max(by);
+    }
+
+    fn is_nowhere(&self) -> bool {
+        self.samples == 0
+    }
 }
 
 impl LimitPeak {
@@ -286,6 +318,7 @@ impl Columns {
         out.text("iterations", |s| Some(s.iterations));
         out.text("subproblem_iterations", |s| Some(s.subproblem.iterations));
         out.text("subproblem_converged", |s| Some(s.subproblem.converged));
+        out.text("gave_way", |s| Some(s.breaks_limit));
         out.vector("f", |s| Some(s.wrench.force.into()));
         out.vector("m", |s| Some(s.wrench.moment.into()));
         out.text("cause", |s| {

@@ -73,13 +73,15 @@ impl LoopsInDoubt {
                 return Ok(None);
             };
             let mut watch = LimitWatch::new(&setup);
-            let run = setup.experiment.run(Contender::Mpc, &mut |_, closed| {
-                watch.look(closed);
-                match stop.check() {
-                    Ok(()) => ControlFlow::Continue(()),
-                    Err(_) => ControlFlow::Break(()),
-                }
-            })?;
+            let run = setup
+                .experiment
+                .run(Contender::Mpc, &mut |sample, closed| {
+                    watch.look(sample, closed);
+                    match stop.check() {
+                        Ok(()) => ControlFlow::Continue(()),
+                        Err(_) => ControlFlow::Break(()),
+                    }
+                })?;
             stop.check().map_err(MpcError::Stopped)?;
             let distance = errors(&run, setup.experiment.counted_from).rms;
             Ok((run.broke_down.is_none()).then_some((watch.peaks, distance)))

@@ -140,7 +140,7 @@ impl LoopOrder<'_> {
         let experiment = &self.setup.experiment;
         let run = experiment.run(Contender::Mpc, &mut |sample, closed| {
             tell(LoopEvent::Sample(sample));
-            if let Err(error) = recording.see(closed) {
+            if let Err(error) = recording.see(sample, closed) {
                 unwritten = Some(error);
                 return ControlFlow::Break(());
             }

@@ -8,7 +8,9 @@ use crate::mechanics::{
     Configuration, Energy, NodalState, Rod, State, TimeGrid, Trajectory, Wrench,
 };
 use crate::mpc::{ClosedLoop, KEPT, Sample};
-use crate::output::closed_loop::{EffortRange, LimitPeak, MpcSummary, SampleRow, write_samples};
+use crate::output::closed_loop::{
+    EffortRange, GaveWay, LimitPeak, MpcSummary, SampleRow, write_samples,
+};
 use crate::output::{
     ControlRow, END_FILE, EffortRow, MotionRecord, OutputError, ResultDirectory, RowFiles,
     ThinnedMotion, json_value, render_report, write_controls, write_efforts, write_end,
@@ -62,6 +64,7 @@ impl LimitWatch {
                 unit: limit.unit(),
                 at_s: 0.0,
                 node: 0,
+                gave_way: GaveWay::default(),
             })
             .collect();
         Self {
@@ -72,10 +75,23 @@ impl LimitWatch {
         }
     }
 
-    /// Looks at the arm at the end of a sample.
-    pub(super) fn look(&mut self, closed: &ClosedLoop) {
+    /// Looks at the plan of a sample, and at the arm at its end.
+    pub(super) fn look(&mut self, sample: &Sample, closed: &ClosedLoop) {
         let arm = closed.arm();
         self.see(arm.rod(), arm.time(), &arm.state());
+        self.note_plan(sample, closed);
+    }
+
+    fn note_plan(&mut self, sample: &Sample, closed: &ClosedLoop) {
+        if !sample.breaks_limit {
+            return;
+        }
+        for (name, by) in closed.controller().gave_way() {
+            let peaks = self.peaks.iter_mut();
+            for own in peaks.filter(|peak| peak.name == name) {
+                own.gave_way.note(sample.t, by);
+            }
+        }
     }
 
     fn see(&mut self, rod: &Rod, t: f64, state: &State) {
@@ -162,7 +178,8 @@ impl Recording {
         Ok(())
     }
 
-    pub(super) fn see(&mut self, closed: &ClosedLoop) -> Result<(), OutputError> {
+    pub(super) fn see(&mut self, sample: &Sample, closed: &ClosedLoop) -> Result<(), OutputError> {
+        self.limits.note_plan(sample, closed);
         let (arm, command) = (closed.arm(), closed.sent());
         if self.controls.is_empty() {
             self.commanded = command.list.named().cloned().collect();

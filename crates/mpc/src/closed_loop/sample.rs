@@ -32,8 +32,8 @@ pub struct Sample {
     pub iterations: usize,
     /// End of the subproblem.
     pub subproblem: SubproblemEnd,
-    /// Tells whether the plan violates an obstacle or a limit that no command within the bounds keeps,
-    /// see [`Controller::broken_limits`](crate::Controller::broken_limits).
+    /// Tells whether an obstacle or a limit [gave way](crate::Controller::gave_way): the plan violates it, because no command within the
+    /// bounds keeps it.
     pub breaks_limit: bool,
     /// First wrench of the command at the time at which it begins to act: force (spatial frame, N) and moment (body frame, N m).
     pub wrench: Wrench,

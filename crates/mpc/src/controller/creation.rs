@@ -74,6 +74,7 @@ impl Controller {
             knots.clone(),
             settings.target_weight,
             settings.limit_price,
+            settings.period,
         )?;
         let (n, n_components) = (horizon.n_variables(), horizon.components.len());
         let lags = lags(&horizon);
@@ -158,7 +159,7 @@ impl OneHorizon {
         let model = arm.rod(discretization).map_err(DiscretizeError::from)?;
         let mut cut = Discretization {
             blocks,
-            ..with_long_steps(&model, discretization, settings)
+            ..with_long_steps(&model, task, discretization, settings)
         };
         if settings.due.is_none() {
             // More samples cannot be told apart by a plan, and each one needs a sweep.

@@ -3,7 +3,7 @@
 use super::settings::MpcSettings;
 use mechanics::stability::{AUTO_STEP_FRACTION, automatic_step, bent_step, posed_step};
 use mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
-use task::Discretization;
+use task::{Discretization, Task};
 
 /// Largest cost of an implicit step within a sample, in explicit steps, without and with internal damping; measured on one machine by
 /// `softarm mpc` with both. Only the choice of the integrator depends on it, which a scene may name.
@@ -47,10 +47,11 @@ pub(super) fn period_and_horizon(
 }
 
 /// Returns the discretization with steps for a receding horizon, if integrator and step are left open: implicit steps of half a block, or
-/// less if the arm must be able to bend into a circle or forces on poses allow less, provided that they are enough longer than explicit ones to be faster. Motions that a
-/// plan cannot control need not be resolved.
+/// less if the arm must be able to bend into a circle, forces on poses allow less, or limits of the task need rows at the ends of samples,
+/// provided that they are enough longer than explicit ones to be faster. Motions that a plan cannot control need not be resolved.
 pub fn with_long_steps(
     model: &Rod,
+    task: &Task,
     discretization: &Discretization,
     settings: &MpcSettings,
 ) -> Discretization {
@@ -59,7 +60,10 @@ pub fn with_long_steps(
         return *discretization;
     }
     let step = bent_step(model).min(AUTO_STEP_FRACTION * posed_step(model));
-    let step = step.min(settings.block / STEPS_A_BLOCK);
+    let mut step = step.min(settings.block / STEPS_A_BLOCK);
+    if !task.limits.is_empty() {
+        step = step.min(settings.period);
+    }
     let as_long_as = AS_LONG_AS[usize::from(model.internal_damping > 0.0)];
     if step <= as_long_as * automatic_step(model) {
         return *discretization;

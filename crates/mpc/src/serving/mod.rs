@@ -230,7 +230,7 @@ impl Recent {
         self.samples.push_back(sample.clone());
         let mut out = Vec::new();
         if sample.breaks_limit {
-            out.extend(controller.broken_limits().map(|name| {
+            out.extend(controller.gave_way().map(|(name, _)| {
                 format!(
                     "{name}: no command within the bounds and rates of [control] keeps it over the horizon"
                 )
