@@ -45,7 +45,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
     if let (Some(mpc), Some(_)) = (&mut scene.mpc, global.seed) {
         mpc.seed = Some(seed);
     }
-    let setup = (scene.closed_loop(&source, seed, &stop))
+    let mut setup = (scene.closed_loop(&source, seed, &stop))
         .map_err(|error| CliError::of_scene(error, &stop))?;
     if arguments.serve {
         for warning in setup.warnings.iter().chain(&setup.unbent_paths(&stop)) {
@@ -54,14 +54,17 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
         let name = scene_name(&arguments.scene.scene);
         return serve::run(&name, &scene, &source, &setup, &stop, console);
     }
-    let doubt = LoopsInDoubt::of(&setup, &source, global.n_threads(), &stop)?;
+    let mut doubt = LoopsInDoubt::of(&setup, &source, global.n_threads(), &stop)?;
+    if let Some(doubt) = &mut doubt {
+        (doubt.narrow(&mut setup, &stop, |line| console.say(line)))
+            .map_err(|error| CliError::of_loop(error, &scene, &source))?;
+    }
     let target = arguments.scene.directory("mpc");
     let directory = RunDirectory::open(&target, ResultKind::Mpc)?;
     for warning in setup.warnings.iter().chain(&setup.unbent_paths(&stop)) {
         console.warn(warning);
     }
     announce(&setup, console);
-
     let mut progress = Progress::new(&setup, console);
     let order = LoopOrder {
         setup: &setup,
@@ -255,8 +258,13 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
         } else {
             format!("kept, {amount} to spare")
         };
+        let margin = if peak.margin > 0.0 {
+            format!(" (plans keep {:.3e} {} inside)", peak.margin, peak.unit)
+        } else {
+            String::new()
+        };
         console.say(&format!(
-            "  {}: {verdict} at node {}, t = {:.3} s",
+            "  {}: {verdict} at node {}, t = {:.3} s{margin}",
             peak.name, peak.node, peak.at_s
         ));
     }

@@ -224,6 +224,9 @@ impl Scene {
             experiment: Experiment {
                 plant,
                 plant_discretization,
+                margins: (self.doubt.as_ref())
+                    .and_then(|doubt| doubt.margins.clone())
+                    .unwrap_or_default(),
                 actuators,
                 efforts,
                 sensing,
@@ -286,6 +289,7 @@ impl Scene {
                     "horizon" => "mpc.horizon_s",
                     "block" => "mpc.block_s",
                     "due" => "mpc.due_s",
+                    "margins" => "doubt.margins",
                     _ => "mpc",
                 };
                 Some(source.error_at(key, message, None))

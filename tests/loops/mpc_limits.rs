@@ -185,6 +185,33 @@ fn limits_hold_in_the_first_sample_that_knows_them() {
     assert!(found[0].1 > kept && inside.record().breaks_limit);
 }
 
+/// With a margin the arm stays as much inside of a limit, where it is its model: again to a thousandth of the limit.
+#[test]
+fn margins_are_kept_on_the_model() {
+    let bend = PathLimit::Curvature { largest: 0.5 };
+    let mut own = scene(vec![limit(bend.clone(), PathEnforcement::Hard)]);
+    own.discretization.scheme = Some(TimeScheme::Explicit);
+    own.plant_discretization = own.discretization;
+    own.margins = vec![0.05];
+    let (with, _) = excess(&own, &bend);
+    assert!((with + 0.05).abs() < 1e-3 * 0.5, "{with}");
+}
+
+/// A margin that nothing can keep gives way, and the limit itself does not; margins that are no margins are refused.
+#[test]
+fn margins_give_way_before_limits() {
+    let mut own = met_a_ball(0.15, 20.0, None);
+    own.keep_inside(&[0.2]).unwrap();
+    let state = own.expected().clone();
+    own.step(&state).unwrap();
+    assert!(own.record().violation <= KEPT * 0.1, "{:?}", own.record());
+    assert_eq!(own.gave_way().count(), 0);
+    for off in [&[0.1, 0.1][..], &[], &[-0.1], &[f64::NAN]] {
+        let refused = own.keep_inside(off).unwrap_err();
+        assert!(refused.to_string().contains("margins"), "{refused}");
+    }
+}
+
 /// A price below what the detour is worth is paid, and a dear one is not.
 #[test]
 fn cheap_limits_are_paid_for() {

@@ -259,9 +259,10 @@ fn loops_run_on_drawn_plants() {
     );
     for (change, words) in [
         (
-            "--set doubt.share=0.1 --set doubt.plants=50",
-            "closed loops have no margins",
+            "--set doubt.margins=[0.0,0.1]",
+            "2 margins, and 1 obstacles and limits",
         ),
+        ("--set doubt.margins=[-0.1]", "-0.1 is below 0"),
         (
             "--set doubt.number.0.key=rod.length_m",
             "is no number of the plant",
@@ -275,4 +276,73 @@ fn loops_run_on_drawn_plants() {
         assert_eq!(code, USAGE, "{change}");
         assert!(talk.contains(words), "{change}: {talk}");
     }
+}
+
+/// A hanging arm whose tip goes round, with a limit on its curvature, on plants of twice the elements whose stiffness is known up to a fifth.
+const BENT: &str = "\
+[rod]
+length_m = 0.3
+elements = 6
+[rod.material]
+preset = \"dragon-skin-30\"
+[rod.section]
+radius_m = 0.015
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[damping]
+viscous_1_s = 2.0
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 2.0
+[control]
+force_max_n = 2.0
+moment_max_n_m = [0.1, 0.1, 0.0]
+[objective]
+rate = 0.003
+[[objective.track]]
+weight = 3e4
+circle = { center_m = [0.0, 0.0, -0.285], radius_m = 0.09, turn_s = 2.0, from_m = [0.0, 0.0, -0.3] }
+[[limit]]
+name = \"bend\"
+curvature_max_1_m = 3.0
+[mpc]
+period_s = 0.02
+horizon_s = 0.4
+counted_from_s = 0.5
+[plant]
+elements = 12
+[doubt]
+plants = 12
+[[doubt.number]]
+key = \"plant.stiffness_factor\"
+range = [0.8, 1.2]
+";
+
+/// Most plants leave the limit on the curvature, of which the model with half of their elements takes means. With margins for a tenth of them no more
+/// than a tenth of others do, the tip follows a third worse at most, and the scene of the result has the margins: it gives the same again.
+#[test]
+fn loops_keep_inside_for_a_part_of_their_plants() {
+    let desk = Desk::holding("");
+    fs::write(desk.path("bent.toml"), BENT).unwrap();
+    let bare = desk.done("mpc bent.toml --out bare");
+    assert!(number(&bare["doubt"]["share"]) > 0.5, "{}", bare["doubt"]);
+    let line = "mpc bent.toml --out kept --set doubt.share=0.1";
+    let kept = desk.done(line);
+    assert!(number(&kept["doubt"]["share"]) <= 0.1, "{}", kept["doubt"]);
+    let margin = number(&kept["limits"][0]["margin"]);
+    assert!(0.0 < margin && margin < 1.0, "{margin}");
+    let off = |run: &Value| number(&run["doubt"]["goal"]["median_m"]);
+    assert!(
+        off(&kept) < 4.0 / 3.0 * off(&bare),
+        "{} {}",
+        off(&kept),
+        off(&bare)
+    );
+
+    let again = desk.done("mpc kept/scene.toml --out again");
+    assert_eq!(again["doubt"], kept["doubt"]);
+    assert_eq!(number(&again["limits"][0]["margin"]), margin);
 }

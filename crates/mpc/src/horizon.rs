@@ -372,6 +372,12 @@ impl Horizon {
         self.rows.see(soft, x, bounded)
     }
 
+    /// Sets by how much plans should keep inside of a limit, in its unit, see [`Rows::set_margin`].
+    pub fn set_margin(&mut self, limit: usize, margin: f64) {
+        let scale = self.problem.path[limit].limit.scale(&self.problem.rod);
+        self.rows.set_margin(limit, margin / scale);
+    }
+
     /// Raises the prices of violated limits, see [`Rows::raise_prices`].
     pub fn raise_prices(&mut self, soft: &mut SoftRows) -> bool {
         self.rows.raise_prices(soft)

@@ -46,6 +46,8 @@ pub(super) struct Rows {
     limit_forms: Vec<RowForms>,
     limit_values: Vec<f64>,
     maxima: Maxima,
+    /// By how much plans should keep inside of each limit, in the scale of its rows.
+    margins: Vec<f64>,
     pub prices: Prices,
     /// Forms; their time nodes are on the present grid from `first.form` on.
     forms: Vec<StateForm>,
@@ -146,6 +148,7 @@ impl Rows {
             values: vec![0.0; n_rows],
             limit_values: vec![LimitRow::NOWHERE; limits.len()],
             maxima: Maxima::default(),
+            margins: vec![0.0; problem.path.len()],
             prices,
             form_nodes: forms.iter().map(|form| form.time_node).collect(),
             passed: 0,
@@ -206,6 +209,12 @@ impl Rows {
     /// Returns the number of rows of limits in the longest horizon.
     pub fn n_limits(&self) -> usize {
         self.limits.len()
+    }
+
+    /// Sets by how much plans should keep inside of a limit, in the scale of its rows. A row then costs from there on, and its price rises only
+    /// where the limit itself is violated: the margin gives way first.
+    pub fn set_margin(&mut self, limit: usize, margin: f64) {
+        self.margins[limit] = margin;
     }
 
     /// Returns the cost if every tracked or targeted distance and angle has the constant error `off`, divided by the rod's length, or in
@@ -389,14 +398,14 @@ impl Rows {
         self.prices.begin();
         for (at, row) in self.limits[self.first.limit..].iter().enumerate() {
             let share = if bounded { soft.share(at) } else { 0.0 };
-            let value = soft.value(at, x);
+            let value = soft.value(at, x) - self.margins[row.limit];
             self.prices.see(row.limit, value, share);
             largest = largest.max(value);
         }
         largest
     }
 
-    /// Writes the values of the present limits for a start that deviates.
+    /// Writes the values of the present limits, narrowed by their margins, for a start that deviates.
     pub fn write_limit_values(
         &self,
         first_free_node: usize,
@@ -407,7 +416,8 @@ impl Rows {
             let moved: f64 = (deviation.components_from(first_free_node).enumerate())
                 .map(|(i, d)| self.limits_along_start[(index, i)] * d)
                 .sum();
-            *out = self.limit_values[index] + moved;
+            let margin = self.margins[self.limits[index].limit];
+            *out = self.limit_values[index] + moved + margin;
         }
     }
 }

@@ -193,6 +193,8 @@ pub struct LimitPeak {
     pub at_s: f64,
     /// Node of the plant, or first node of the element.
     pub node: usize,
+    /// By how much plans keep inside of the limit, in its unit.
+    pub margin: f64,
     /// The samples whose plan violates the limit, because no command within the bounds keeps it; absent without any.
     #[serde(skip_serializing_if = "GaveWay::is_nowhere")]
     pub gave_way: GaveWay,

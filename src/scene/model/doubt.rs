@@ -19,11 +19,16 @@ pub struct Doubt {
     /// Seed of the draws, default 0.
     #[serde(default)]
     pub seed: u64,
-    /// Largest part of the plants that may leave a limit, above 0 and below 1: the hard limits are narrowed for it, and a result is
-    /// rejected if more leave one. It needs at least `1/share` plants. Absent: limits are as they are, and what plants do is told.
+    /// Largest part of the plants that may leave a limit, above 0 and below 1: the hard limits are narrowed for it, and the result of a
+    /// solve is rejected if more leave one. It needs at least `1/share` plants. Absent: limits are as they are, and what plants do is told.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub share: Option<f64>,
+    /// By how much the plans of a closed loop keep inside of each `[[obstacle]]` and then each `[[limit]]`, in the order of `limits` in its
+    /// summary and in the unit there, none negative; goes with `mpc`. Absent: what `softarm mpc` finds on drawn plants for `share`,
+    /// and nothing without it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub margins: Option<Vec<f64>>,
     /// The numbers in doubt.
     pub number: Vec<DoubtedNumber>,
 }
@@ -92,11 +97,7 @@ const OF_CONTROLS: [&str; 3] = ["lag_s", "rate_n_s", "follows"];
 impl Keys<'_> {
     pub(in crate::scene) fn check_doubt(&self, doubt: &Doubt, scene: &Scene) -> Checked {
         self.count("doubt.plants", doubt.plants, MOST_PLANTS)?;
-        if let (Some(_), Some(_)) = (doubt.share, &scene.mpc) {
-            let help = "leave it out: a closed loop tells what its plants do".to_string();
-            let message = "closed loops have no margins for a share of plants";
-            return Err((self.source).error_at("doubt.share", message, Some(help)));
-        }
+        self.check_margins(doubt, scene)?;
         if let Some(share) = doubt.share {
             if !(share > 0.0 && share < 1.0) {
                 return Err(self.out_of_range(
@@ -119,6 +120,33 @@ impl Keys<'_> {
             self.check_doubted(own, &format!("doubt.number.{index}"), scene)?;
         }
         Ok(())
+    }
+
+    fn check_margins(&self, doubt: &Doubt, scene: &Scene) -> Checked {
+        let Some(margins) = &doubt.margins else {
+            return Ok(());
+        };
+        let refuse = |message: String, help: &str| {
+            Err((self.source).error_at("doubt.margins", message, Some(help.into())))
+        };
+        if scene.mpc.is_none() {
+            let help = "doubt.share lets a solve find its own";
+            return refuse("margins by number are those of a closed loop".into(), help);
+        }
+        let limits = scene.limits();
+        if margins.len() != limits.len() {
+            let message = format!(
+                "{} margins, and {} obstacles and limits",
+                margins.len(),
+                limits.len()
+            );
+            return refuse(message, "give one for each, in the order of the scene");
+        }
+        self.finite("doubt.margins", margins)?;
+        match margins.iter().find(|own| **own < 0.0) {
+            Some(off) => refuse(format!("{off} is below 0"), "0 leaves a limit as it is"),
+            None => Ok(()),
+        }
     }
 
     fn check_doubted(&self, own: &DoubtedNumber, section: &str, scene: &Scene) -> Checked {

@@ -61,8 +61,8 @@ fn limit_advice(setup: &ClosedLoopSetup, run: &Outcome, limits: &[LimitPeak]) ->
             run.tally.breaking, run.tally.samples
         )
     } else {
-        "the plan keeps it, the arm does not: what the model has wrong, or motion between the samples of the horizon, takes the rest; a margin_m or a \
-         smaller limit leaves room for that"
+        "the plan keeps it, the arm does not: what the model has wrong takes the rest; a margin_m or a smaller limit leaves room for that, and \
+         doubt.share finds how much"
             .into()
     };
     (limits.iter().filter(|peak| peak.violated))

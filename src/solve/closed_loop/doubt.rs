@@ -1,4 +1,10 @@
 //! A closed loop on the plants of the doubt that its scene states: as many loops, each of the same controller.
+//!
+//! With a share of the plants that may leave a limit, margins narrow the limits of the plans: back-offs from simulations of the loop itself
+//! (Bradford, Imsland, Zhang and del Rio Chanona 2020). Of `n` drawn plants, `k` may leave a limit. Each limit is narrowed by the largest
+//! excess of any sample on all but the `k` worst plants, and the loop runs on the same plants again, as long as more of them leave a limit:
+//! margins are recomputed and not differentiated. The last step is bisected until it is as small as a violation that counts as none. What the filter knows, how the plan answers, and elements that the model does not have count
+//! as they are.
 
 use std::ops::ControlFlow;
 
@@ -10,12 +16,17 @@ use crate::output::closed_loop::LimitPeak;
 use crate::scene::{ClosedLoopSetup, Scene, SceneError, SceneSource};
 use crate::solve::doubt::{Draws, Purpose};
 use crate::stop::StopSignal;
-use crate::verify::doubt::{OnPlant, UnderDoubt};
+use crate::verify::doubt::{Margins, OnPlant, UnderDoubt};
+
+/// Largest number of times that the plants run: margins grow once or twice, and are bisected to a hundredth of the limit some five times.
+const MOST_ROUNDS: usize = 8;
 
 /// The plants of the doubt of a closed loop.
 pub(crate) struct LoopsInDoubt {
     draws: Draws,
     n_threads: usize,
+    /// Margins of the limits; absent before they are found.
+    margins: Option<Vec<f64>>,
 }
 
 impl LoopsInDoubt {
@@ -32,7 +43,11 @@ impl LoopsInDoubt {
         let Some(draws) = Draws::of(&setup.resolved) else {
             return Ok(None);
         };
-        let out = Self { draws, n_threads };
+        let out = Self {
+            margins: draws.doubt.margins.clone(),
+            draws,
+            n_threads,
+        };
         let in_words = |overrides: &[String]| {
             let setup = out.setup(overrides, 0, stop)?;
             Ok(format!("{:?} {:?}", setup.experiment, setup.initial))
@@ -58,7 +73,73 @@ impl LoopsInDoubt {
         if let Some(mpc) = &mut scene.mpc {
             mpc.seed = Some(seed);
         }
+        if let Some(doubt) = &mut scene.doubt {
+            doubt.margins.clone_from(&self.margins);
+        }
         scene.closed_loop(&source, seed, stop)
+    }
+
+    /// Finds the margins for the share of plants that may leave a limit, if the scene has one and no margins, and gives them to the loop.
+    ///
+    /// # Errors
+    /// As [`Self::run`].
+    pub fn narrow(
+        &mut self,
+        setup: &mut ClosedLoopSetup,
+        stop: &StopSignal,
+        say: impl Fn(&str),
+    ) -> Result<(), MpcError> {
+        let doubt = &self.draws.doubt;
+        let (Some(share), None) = (doubt.share, &self.margins) else {
+            return Ok(());
+        };
+        let (n, n_limits) = (doubt.plants, setup.experiment.task.limits.len());
+        let most = Margins::most_violating(share, n).unwrap_or(0);
+        let mut margins = vec![0.0; n_limits];
+        let mut failing = margins.clone();
+        let mut keeping: Option<Vec<f64>> = None;
+        for _ in 0..MOST_ROUNDS {
+            self.margins = Some(margins.clone());
+            let found = self.on_plants(Purpose::Margins, stop)?;
+            let violating = found.iter().filter(|own| leaves(own.as_ref())).count();
+            say(&format!(
+                "doubt: {violating} of {n} plants leave a limit, {most} may"
+            ));
+            if violating <= most {
+                keeping = Some(margins.clone());
+            } else {
+                failing.clone_from(&margins);
+            }
+            let peaks = found.iter().flatten().map(|(peaks, _)| peaks).next();
+            let next: Vec<f64> = match &keeping {
+                None => (failing.iter().enumerate())
+                    .map(|(limit, margin)| margin + largest_excess(&found, limit, most))
+                    .collect(),
+                Some(keeping) => {
+                    let is_near = |(limit, (keeps, fails)): (usize, (&f64, &f64))| {
+                        peaks.is_none_or(|peaks| keeps - fails <= peaks[limit].allowed)
+                    };
+                    if keeping.iter().zip(&failing).enumerate().all(is_near) {
+                        break;
+                    }
+                    (keeping.iter().zip(&failing))
+                        .map(|(keeps, fails)| 0.5 * (keeps + fails))
+                        .collect()
+                }
+            };
+            if next == margins {
+                say("no limit is exceeded on the plants that count: no margin helps the others");
+                break;
+            }
+            margins = next;
+        }
+        let margins = keeping.unwrap_or(failing);
+        let margins = self.margins.insert(margins);
+        setup.experiment.margins.clone_from(margins);
+        if let Some(doubt) = &mut setup.resolved.doubt {
+            doubt.margins = Some(margins.clone());
+        }
+        Ok(())
     }
 
     /// Runs the loop on all plants.
@@ -66,27 +147,7 @@ impl LoopsInDoubt {
     /// # Errors
     /// [`MpcError`] of a controller that cannot begin, and where the loops are stopped.
     pub(super) fn run(&self, stop: &StopSignal) -> Result<UnderDoubt, MpcError> {
-        let on_plant = |plant: usize| -> Result<Option<(Vec<LimitPeak>, f64)>, MpcError> {
-            stop.check().map_err(MpcError::Stopped)?;
-            let overrides = self.draws.overrides(Purpose::Check, plant);
-            let Ok(setup) = self.setup(&overrides, plant, stop) else {
-                return Ok(None);
-            };
-            let mut watch = LimitWatch::new(&setup);
-            let run = setup
-                .experiment
-                .run(Contender::Mpc, &mut |sample, closed| {
-                    watch.look(sample, closed);
-                    match stop.check() {
-                        Ok(()) => ControlFlow::Continue(()),
-                        Err(_) => ControlFlow::Break(()),
-                    }
-                })?;
-            stop.check().map_err(MpcError::Stopped)?;
-            let distance = errors(&run, setup.experiment.counted_from).rms;
-            Ok((run.broke_down.is_none()).then_some((watch.peaks, distance)))
-        };
-        let found = on_threads(self.draws.doubt.plants, self.n_threads, on_plant)?;
+        let found = self.on_plants(Purpose::Check, stop)?;
         let names = found
             .iter()
             .flatten()
@@ -108,4 +169,54 @@ impl LoopsInDoubt {
             .collect();
         Ok(UnderDoubt::of(names, &outcomes))
     }
+
+    /// Runs the loop on the plants of a purpose; those whose motion breaks down, or that cannot be built, have none.
+    fn on_plants(
+        &self,
+        purpose: Purpose,
+        stop: &StopSignal,
+    ) -> Result<Vec<Option<OnLoop>>, MpcError> {
+        let on_plant = |plant: usize| -> Result<Option<OnLoop>, MpcError> {
+            stop.check().map_err(MpcError::Stopped)?;
+            let overrides = self.draws.overrides(purpose, plant);
+            let noise = plant + self.draws.doubt.plants * usize::from(purpose == Purpose::Margins);
+            let Ok(setup) = self.setup(&overrides, noise, stop) else {
+                return Ok(None);
+            };
+            let mut watch = LimitWatch::new(&setup);
+            let run = setup
+                .experiment
+                .run(Contender::Mpc, &mut |sample, closed| {
+                    watch.look(sample, closed);
+                    match stop.check() {
+                        Ok(()) => ControlFlow::Continue(()),
+                        Err(_) => ControlFlow::Break(()),
+                    }
+                })?;
+            stop.check().map_err(MpcError::Stopped)?;
+            let distance = errors(&run, setup.experiment.counted_from).rms;
+            Ok((run.broke_down.is_none()).then_some((watch.peaks, distance)))
+        };
+        on_threads(self.draws.doubt.plants, self.n_threads, on_plant)
+    }
 }
+
+/// Tells whether a plant leaves a limit, or whether its motion breaks down.
+fn leaves(found: Option<&OnLoop>) -> bool {
+    found.is_none_or(|(peaks, _)| peaks.iter().any(|peak| peak.violated))
+}
+
+/// Returns the largest excess over a limit on all plants but the `most` worst ones, in its unit; 0 for a soft limit, and where it is kept.
+/// A plant whose motion breaks down says nothing of how much would have helped it.
+fn largest_excess(found: &[Option<OnLoop>], limit: usize, most: usize) -> f64 {
+    let hard = (found.iter().flatten())
+        .map(|(peaks, _)| &peaks[limit])
+        .filter(|peak| peak.allowed.is_finite());
+    let mut excess: Vec<f64> = hard.map(|peak| peak.excess).collect();
+    excess.sort_by(f64::total_cmp);
+    let counted = excess.len().saturating_sub(most);
+    excess[..counted].last().map_or(0.0, |own| own.max(0.0))
+}
+
+/// The limits of a loop on a plant, and the root mean square of the distances from its reference, m.
+type OnLoop = (Vec<LimitPeak>, f64);

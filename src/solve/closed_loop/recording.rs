@@ -52,8 +52,9 @@ impl LimitWatch {
         let limits: Vec<_> = (own.task.limits.iter())
             .map(|limit| limit.kind.on(rod, &radii))
             .collect();
-        let peaks = (own.task.limits.iter().zip(&limits))
-            .map(|(named, limit)| LimitPeak {
+        let margins = own.margins.iter().copied().chain(std::iter::repeat(0.0));
+        let peaks = (own.task.limits.iter().zip(&limits).zip(margins))
+            .map(|((named, limit), margin)| LimitPeak {
                 name: named.name.clone(),
                 allowed: match named.enforcement {
                     PathEnforcement::Hard => KEPT * limit.reference(rod, &radii),
@@ -64,6 +65,7 @@ impl LimitWatch {
                 unit: limit.unit(),
                 at_s: 0.0,
                 node: 0,
+                margin,
                 gave_way: GaveWay::default(),
             })
             .collect();

@@ -29,6 +29,8 @@ pub struct Experiment {
     pub discretization: Discretization,
     /// Settings of the controller.
     pub mpc: MpcSettings,
+    /// By how much plans keep inside of the task's obstacles and limits, in their order and units; empty for none.
+    pub margins: Vec<f64>,
     /// The arm of the plant.
     pub plant: Arm,
     /// Elements and step of the plant.
@@ -320,6 +322,7 @@ impl Experiment {
             task,
             discretization,
             mpc,
+            margins: Vec::new(),
             adjust: None,
             actuators: ActuatorDynamics::default(),
             efforts: Vec::new(),
@@ -381,7 +384,12 @@ impl Experiment {
             ..self.mpc
         };
         let (arm, task) = (&self.arm, &self.task);
-        Controller::new_until(arm, task, &self.discretization, &mpc, &self.stop)
+        let mut controller =
+            Controller::new_until(arm, task, &self.discretization, &mpc, &self.stop)?;
+        if !self.margins.is_empty() {
+            controller.keep_inside(&self.margins)?;
+        }
+        Ok(controller)
     }
 
     fn contend(

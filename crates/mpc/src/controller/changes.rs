@@ -25,6 +25,35 @@ fn check_rows<T>(rows: &[(f64, T)], is_finite: impl Fn(&T) -> bool) -> Result<()
 }
 
 impl Controller {
+    /// Sets by how much plans should keep inside of the task's obstacles and limits, in their order and units, from the next
+    /// [feedback](Self::feedback) on: for what the arm does otherwise than the model. A margin gives way before its limit does.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Setting`] for another number of margins than of limits, and for one that is negative or not finite; all are then
+    /// unchanged.
+    pub fn keep_inside(&mut self, margins: &[f64]) -> Result<(), MpcError> {
+        let refuse = |value, expected| {
+            Err(MpcError::Setting {
+                name: "margins",
+                value,
+                expected,
+            })
+        };
+        if margins.len() != self.horizon.problem.path.len() {
+            return refuse(margins.len() as f64, "one for each obstacle and limit");
+        }
+        let off = margins
+            .iter()
+            .find(|own| !(own.is_finite() && **own >= 0.0));
+        if let Some(off) = off {
+            return refuse(*off, "a number of at least 0");
+        }
+        for (limit, margin) in margins.iter().enumerate() {
+            self.horizon.set_margin(limit, *margin);
+        }
+        Ok(())
+    }
+
     /// Sets the disturbance that the model expects from the next [preparation](super::Issued::prepare) on: its wrenches act in every predicted
     /// motion, and its stiffness, payload and damping change the model. Effort is then measured from the control that cancels the wrench at
     /// the tip and the weight of the payload, as far as it is actuated, so that it causes no offset.
