@@ -14,7 +14,7 @@ All numbers are in SI units. Positions `x` are spatial and in C order, `(n, K+1,
 from ._softarm import Batch, __version__, builtin_scenes
 from .control import Command, Controller, Plant, State
 from .errors import InternalError, ModelError, ResultError, SceneError, SoftarmError, Stopped
-from .profiles import profile
+from .profiles import follow_with_play, profile
 from .program import Component, Derivatives, Program, Quadratic
 from .progress import progress
 from .results import Certificate, Result, load, verify
@@ -50,6 +50,7 @@ __all__ = [
     "batch",
     "builtin_scenes",
     "figure_eight",
+    "follow_with_play",
     "load",
     "profile",
     "progress",

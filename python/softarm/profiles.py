@@ -1,4 +1,4 @@
-"""Efforts and loads over time from tables: rows of `profile` of a scene."""
+"""Efforts and loads over time from tables: rows of `profile` of a scene, and inputs behind a play."""
 
 from __future__ import annotations
 
@@ -31,6 +31,21 @@ def profile(source: Any, columns: Sequence[str | int] | None = None) -> list[lis
     if not len(kept):
         raise ValueError("a profile without any row of numbers")
     return [[float(number) for number in row] for row in kept]
+
+
+def follow_with_play(commands: Any, play: Any) -> np.ndarray:
+    """Returns the values that act under commands in the order of time, `(n,)` or `(n, m)`, of actuators with play, in the unit of the commands: one for
+    all, or one for each of the `m`. The value that acts is the one before, moved as little as a distance from the command of at most `play` asks for; the
+    first one is the command.
+    """
+    commands = np.asarray(commands, float)
+    play = np.asarray(play, float)
+    if not (np.isfinite(play).all() and (play >= 0.0).all()):
+        raise ValueError(f"a play is a finite number of at least 0, and not {play}")
+    acting = commands.copy()
+    for i in range(1, len(commands)):
+        acting[i] = np.clip(acting[i - 1], commands[i] - play, commands[i] + play)
+    return acting
 
 
 def _index(names: list[str], column: str | int, n: int) -> int:

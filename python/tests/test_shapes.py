@@ -69,22 +69,31 @@ def test_inputs_that_do_not_fit_are_refused():
         sa.Scene(sa.arm(0.3, 0.01, 1e5, elements=8) | {"time": {"end_s": 1.0}}).shapes(np.zeros((1, 0)))
 
 
-def test_a_table_of_shapes_is_fitted():
+@pytest.mark.parametrize("play", [0.0, 0.04])
+def test_a_table_of_shapes_is_fitted(play):
     arm = scene()
     truth = arm.replace({"rod.material.youngs_modulus_pa": 1.3e5})
     tensions = np.random.default_rng(2).uniform(0.05, 0.5, (40, 2))
-    tips = truth.shapes(tensions).tips
+    tips = truth.shapes(sa.follow_with_play(tensions, play)).tips
     columns = {"l": tensions[:, 0], "f": tensions[:, 1]} | dict(zip("xyz", tips.T))
+    inputs = {name: {"key": f"tendon.{i}.pretension_n", "play": play} for i, name in enumerate("lf")}
     data = {
         "sigma_m": 1e-4,
         "marker": [{"name": "tip", "at": 1.0}],
-        "table": [
-            {
-                "csv": columns,
-                "inputs": {"l": {"key": "tendon.0.pretension_n"}, "f": {"key": "tendon.1.pretension_n"}},
-                "positions": {"tip": {"columns": ["x", "y", "z"]}},
-            }
-        ],
+        "table": [{"csv": columns, "inputs": inputs, "positions": {"tip": {"columns": ["x", "y", "z"]}}}],
     }
     result = arm.fit(data, free=["rod.material.youngs_modulus_pa"])
     assert abs(result.summary["parameters"][0]["value"] / 1.3e5 - 1) < 1e-6
+
+
+def test_actuators_with_play_lag_behind_commands_that_turn_back():
+    """Under a sawtooth an actuator is the play behind on both of its ways, and rests for twice the play where it turns back."""
+    up, play = np.arange(0.0, 1.05, 0.1), 0.15
+    commands = np.concatenate([up, up[-2::-1]])
+    acting = sa.follow_with_play(commands, play)
+    assert np.allclose(acting[: len(up)], np.maximum(up - play, 0.0))
+    assert np.allclose(acting[len(up) - 1 :], np.minimum(up[-1] - play, commands[len(up) - 1 :] + play))
+    both = sa.follow_with_play(np.stack([commands, commands], axis=1), [play, 0.0])
+    assert np.array_equal(both[:, 0], acting) and np.array_equal(both[:, 1], commands)
+    with pytest.raises(ValueError, match="at least 0"):
+        sa.follow_with_play(commands, -0.1)

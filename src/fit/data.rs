@@ -6,6 +6,7 @@ use std::path::Path;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
+use super::rows::{InputColumn, Rows};
 use crate::output::read_text;
 
 /// Largest file that is read, bytes.
@@ -111,20 +112,6 @@ pub struct Table {
     pub held_out: bool,
 }
 
-/// A column of commands.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct InputColumn {
-    /// Key of the scene that the column sets: the effort of an actuator before the task, or the displacement of a winch.
-    pub key: String,
-    /// Factor from the numbers of the column to the unit of the key.
-    #[serde(default = "one")]
-    pub times: f64,
-    /// Value of the key where the column has zero.
-    #[serde(default)]
-    pub plus: f64,
-}
-
 /// Three columns of the position of a marker.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -136,7 +123,7 @@ pub struct PositionColumns {
     pub times: f64,
 }
 
-fn one() -> f64 {
+pub fn one() -> f64 {
     1.0
 }
 
@@ -144,7 +131,7 @@ fn one() -> f64 {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Free {
-    /// Dotted path of a number of the scene, or of a marker, as `marker.tip.offset_m.2`; with `times` or `plus` the name of a number.
+    /// Dotted path of a number of the scene, or of a marker, as `marker.tip.offset_m.2`; with `times`, `plus` or `play` the name of a number.
     pub key: String,
     /// Dotted paths of numbers to which it is added, in every case those that the case has.
     #[serde(default)]
@@ -152,6 +139,9 @@ pub(crate) struct Free {
     /// Dotted paths of numbers that the factor multiplies, in every case those that the case has.
     #[serde(default)]
     pub times: Vec<String>,
+    /// Keys that rows of tables set, of whose actuators it is the play.
+    #[serde(default)]
+    pub play: Vec<String>,
     /// Where the search begins; the value of the scene, or 1 of a factor, if it is left out.
     pub start: Option<f64>,
     /// Least value.
@@ -162,31 +152,6 @@ pub(crate) struct Free {
     pub prior: Option<f64>,
     /// Its standard deviation.
     pub prior_sigma: Option<f64>,
-}
-
-/// The commands of a table of shapes at rest.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Rows {
-    /// Keys of the scene that its rows set.
-    pub keys: Vec<String>,
-    /// Values of these keys in every row, row by row.
-    pub inputs: Vec<f64>,
-    /// Line of the file of every row.
-    pub lines: Vec<u64>,
-    /// Group of every row; empty without groups.
-    pub groups: Vec<String>,
-}
-
-impl Rows {
-    pub fn len(&self) -> usize {
-        self.lines.len()
-    }
-
-    /// Returns the values of the keys in a row.
-    pub fn row(&self, row: usize) -> &[f64] {
-        let n = self.keys.len();
-        &self.inputs[row * n..][..n]
-    }
 }
 
 /// The motion in which an arm was measured.
@@ -435,6 +400,7 @@ impl File<'_> {
             let group_apart = (group.as_ref()).filter(|own| table.held_out_groups.contains(own));
             apart.extend(group_apart.cloned());
             let is_apart = table.held_out || group_apart.is_some();
+            columns.command(&row, &mut cases)?;
             columns.add(&row, group, &mut cases[usize::from(is_apart)])?;
         }
         let unknown = (table.held_out_groups.iter()).find(|own| !apart.contains(*own));
@@ -458,6 +424,7 @@ impl Table {
             set: self.set.clone(),
             kind: Kind::Rows(Rows {
                 keys: self.inputs.values().map(|own| own.key.clone()).collect(),
+                play: self.inputs.values().map(|own| own.play).collect(),
                 ..Rows::default()
             }),
             held_out,
@@ -479,6 +446,12 @@ impl<'a> TableColumns<'a> {
     fn of(file: &File, table: &'a Table, sheet: &Sheet) -> Result<Self, String> {
         let mut inputs = Vec::new();
         for (name, input) in &table.inputs {
+            if !(input.play >= 0.0 && input.play.is_finite()) {
+                let play = input.play;
+                return Err(sheet.refused(format!(
+                    "{name:?} has play = {play}: give half of the way that is lost where a command turns back, at least 0"
+                )));
+            }
             inputs.push((sheet.column(name)?, input));
         }
         let mut markers = Vec::new();
@@ -499,15 +472,26 @@ impl<'a> TableColumns<'a> {
         })
     }
 
-    /// Adds a row to a case.
+    /// Adds the commands of a row to the cases of its table.
+    fn command(&self, row: &Row, cases: &mut [Case; 2]) -> Result<(), String> {
+        for (index, input) in &self.inputs {
+            let command = row.number(*index)? * input.times + input.plus;
+            for case in cases.iter_mut() {
+                if let Kind::Rows(rows) = &mut case.kind {
+                    rows.commands.push(command);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds a row, whose commands are the last ones, to a case.
     fn add(&self, row: &Row, group: Option<String>, case: &mut Case) -> Result<(), String> {
         let Kind::Rows(rows) = &mut case.kind else {
             return Ok(());
         };
-        for (index, input) in &self.inputs {
-            rows.inputs
-                .push(row.number(*index)? * input.times + input.plus);
-        }
+        let place = rows.commands.len() / self.inputs.len().max(1);
+        rows.places.push(place.saturating_sub(1));
         let time = rows.lines.len() as f64;
         rows.lines.push(row.line());
         rows.groups.extend(group);

@@ -1,4 +1,4 @@
-//! The numbers that are fitted: keys of the scene, factors and summands of keys, offsets of markers, and clocks of recordings.
+//! The numbers that are fitted: keys of the scene, factors and summands of keys, plays of actuators, offsets of markers, and clocks of recordings.
 
 use super::data::{self, Case, Data, Marker};
 use super::{FitError, FitOptions};
@@ -11,6 +11,8 @@ pub(crate) struct Free {
     pub times: Vec<String>,
     /// Paths of the numbers to which it is added.
     pub plus: Vec<String>,
+    /// Keys of rows of whose actuators it is the play.
+    pub play: Vec<String>,
     /// Marker and axis whose offset it is.
     pub marker: Option<(usize, usize)>,
     /// Recordings by whose clock it is.
@@ -34,13 +36,26 @@ impl Free {
         let described = data.free.iter().find(|free| free.key == key);
         let times = described.map_or(&[][..], |free| &free.times);
         let plus = described.map_or(&[][..], |free| &free.plus);
-        if !times.is_empty() && !plus.is_empty() {
-            return refuse(format!("{key} has times and plus: give a number for each"));
+        let play = described.map_or(&[][..], |free| &free.play);
+        let relations = [times, plus, play];
+        if relations.iter().filter(|own| !own.is_empty()).count() > 1 {
+            return refuse(format!(
+                "{key} has more than one of times, plus and play: give a number for each"
+            ));
         }
         let is_set = |path: &String| {
             let rows = cases.iter().filter_map(Case::rows);
             rows.flat_map(|rows| &rows.keys).any(|key| key == path)
         };
+        if let Some(path) = play.iter().find(|path| !is_set(path)) {
+            return refuse(format!(
+                "{path}, of which {key} is the play, is set by the rows of no table"
+            ));
+        }
+        let lower = described.and_then(|free| free.lower).unwrap_or(0.0);
+        if !play.is_empty() && lower < 0.0 {
+            return refuse(format!("{key} has lower = {lower}: a play is at least 0"));
+        }
         for path in times.iter().chain(plus) {
             let mut tables = tables.iter().chain([own]);
             if !is_set(path) && !tables.any(|table| number(table, path).is_some()) {
@@ -60,6 +75,7 @@ impl Free {
                 None if !clock.is_empty() => Some(0.0),
                 None if !times.is_empty() => Some(1.0),
                 None if !plus.is_empty() => Some(0.0),
+                None if !play.is_empty() => Some(largest_play(cases, play)),
                 None => number(own, key),
             });
         let Some(start) = given else {
@@ -70,7 +86,9 @@ impl Free {
         let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
         let is_positive = start > 0.0 && marker.is_none() && clock.is_empty() && plus.is_empty();
         let bounds = [
-            part(|free| free.lower).unwrap_or(if is_positive {
+            part(|free| free.lower).unwrap_or(if !play.is_empty() {
+                0.0
+            } else if is_positive {
                 1e-3 * start
             } else {
                 f64::NEG_INFINITY
@@ -94,9 +112,12 @@ impl Free {
         };
         let width = bounds[1] - bounds[0];
         let length = number(own, "rod.length_m").unwrap_or(1.0);
-        let of_rows = (plus.iter())
-            .map(|path| largest_input(cases, path))
-            .fold(0.0, f64::max);
+        let largest = |paths: &[String]| {
+            (paths.iter())
+                .map(|path| largest_input(cases, path))
+                .fold(0.0, f64::max)
+        };
+        let of_rows = largest(plus).max(PLAY * largest(play));
         let scale = if marker.is_some() {
             start.abs().max(OFFSET * length)
         } else if !clock.is_empty() {
@@ -118,6 +139,7 @@ impl Free {
             key: key.into(),
             times: times.to_vec(),
             plus: plus.to_vec(),
+            play: play.to_vec(),
             marker,
             clock,
             start,
@@ -127,11 +149,12 @@ impl Free {
         })
     }
 
-    /// Returns the dotted paths of its key and of the numbers that it multiplies, or to which it is added.
+    /// Returns the dotted paths of its key and of the numbers that it multiplies, to which it is added, or whose play it is.
     fn paths(&self) -> Vec<String> {
         let sums = self.plus.iter().map(|path| format!("{path} plus"));
+        let plays = self.play.iter().map(|path| format!("{path} play"));
         let own = [&[self.key.clone()][..], &self.times].concat();
-        own.into_iter().chain(sums).collect()
+        own.into_iter().chain(sums).chain(plays).collect()
     }
 
     /// Returns the paths of the numbers that it multiplies, or to which it is added.
@@ -141,13 +164,19 @@ impl Free {
 
     /// Tells whether it is the number at its key in the scene.
     pub fn is_key(&self) -> bool {
-        self.related().next().is_none() && self.marker.is_none() && self.clock.is_empty()
+        self.related().next().is_none()
+            && self.play.is_empty()
+            && self.marker.is_none()
+            && self.clock.is_empty()
     }
 
     pub fn scaled_bounds(&self) -> [f64; 2] {
         self.bounds.map(|bound| bound / self.scale)
     }
 }
+
+/// Scale of a play in the search, as a part of the largest command.
+const PLAY: f64 = 1e-2;
 
 /// Scale of an offset of a marker in the search, as a part of the length of the arm.
 const OFFSET: f64 = 1e-2;
@@ -286,4 +315,12 @@ fn largest_input(cases: &[Case], key: &str) -> f64 {
         }
     }
     largest
+}
+
+/// Returns the largest play that tables give the actuators of some keys.
+fn largest_play(cases: &[Case], keys: &[String]) -> f64 {
+    let rows = cases.iter().filter_map(Case::rows);
+    let all = rows.flat_map(|rows| rows.keys.iter().zip(&rows.play));
+    let own = all.filter(|(key, _)| keys.contains(key));
+    own.map(|(_, play)| *play).fold(0.0, f64::max)
 }

@@ -8,6 +8,7 @@ mod free;
 mod least_squares;
 mod report;
 mod resting;
+mod rows;
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -330,6 +331,13 @@ impl Model<'_> {
         let product = times.fold(value, |value, (own, at)| value * at * own.scale);
         let plus = own().filter(|(own, _)| has(&own.plus));
         plus.fold(product, |sum, (own, at)| sum + at * own.scale)
+    }
+
+    /// Returns the play of the actuator of a key that a row sets, whose own is `play`.
+    fn play(&self, at: &[f64], path: &str, play: f64) -> f64 {
+        let mut own = self.parameters.iter().zip(at);
+        let found = own.find(|(own, _)| own.play.iter().any(|own| own == path));
+        found.map_or(play, |(own, at)| at * own.scale)
     }
 
     /// Returns the sights of a row of a table.

@@ -7,8 +7,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use nalgebra::{DMatrix, DVector};
 
-use super::data::Rows;
 use super::least_squares::{Beside, Residuals, stacked};
+use super::rows::Rows;
 use super::{FitError, Model, Pose};
 use crate::mechanics::at_rest::{self, OfRow, shape_near};
 use crate::mechanics::equilibrium::EquilibriumError;
@@ -32,6 +32,8 @@ struct Resting<'a> {
     rows: &'a Rows,
     remembered: &'a Remembered,
     at: &'a [f64],
+    /// Values of the keys that act in every row of the file.
+    acting: Vec<f64>,
     rod: Rod,
     /// Factor on all loads and inputs.
     loads: f64,
@@ -139,12 +141,15 @@ impl Model<'_> {
         };
         let mut rod = self.rod_at_rest(at, case, more)?;
         rod.multiply_loads(loads);
+        let own = rows.keys.iter().zip(&rows.play);
+        let play: Vec<f64> = own.map(|(key, own)| self.play(at, key, *own)).collect();
         Ok(Resting {
             model: self,
             case,
             rows,
             remembered,
             at,
+            acting: rows.acting(&|key, value| self.given(at, key, value), &play),
             rod,
             loads,
         })
@@ -198,9 +203,9 @@ impl Resting<'_> {
     fn commanded(&self, row: usize) -> Rod {
         let mut efforts = self.rod.actuators.efforts(0.0);
         let actuators = &self.remembered.actuators;
-        let given = self.rows.keys.iter().zip(self.rows.row(row));
-        for (&actuator, (key, &value)) in actuators.iter().zip(given) {
-            efforts[actuator] = self.loads * self.model.given(self.at, key, value);
+        let acting = &self.acting[self.rows.places[row] * actuators.len()..];
+        for (&actuator, &value) in actuators.iter().zip(acting) {
+            efforts[actuator] = self.loads * value;
         }
         self.rod.with_inputs(&efforts)
     }

@@ -480,13 +480,62 @@ fn actuators_of_plants_are_slow_and_limited() {
         assert!((limited - 1.0).abs() < 1e-12 && (free - 1.4).abs() < 1e-12);
         assert!(slack.abs() < 1e-12);
     }
-    let arm = SimulatedArm::new(&model, start, 0.01, &model, &[], Default::default()).unwrap();
-    let narrow = EffortDynamics {
-        range: [1.0, 2.0],
+    for (refused, words) in [
+        (
+            EffortDynamics {
+                range: [1.0, 2.0],
+                ..EffortDynamics::default()
+            },
+            "given effort: 0.4",
+        ),
+        (
+            EffortDynamics {
+                play: -0.1,
+                ..EffortDynamics::default()
+            },
+            "play: -0.1",
+        ),
+    ] {
+        let start = start.clone();
+        let arm = SimulatedArm::new(&model, start, 0.01, &model, &[], Default::default());
+        let error = arm.unwrap().with_efforts(&[refused]).unwrap_err();
+        assert!(error.to_string().contains(words), "{error}");
+    }
+}
+
+/// An actuator with the play `w` is `w` behind its command that rises to a peak and falls again, after it has rested while the command has
+/// turned back by less than `2 w`; with a lag `τ` too, it comes to rest `w` below a command that stays, as `1 - exp(-t/τ)`.
+#[test]
+fn actuators_of_plants_have_play() {
+    let model = tendon_arm(3e5).rod(&discretization()).unwrap();
+    let start = State::at_rest(model.rest.clone());
+    let (play, lag) = (0.05, 0.02);
+    let own = EffortDynamics {
+        play,
         ..EffortDynamics::default()
     };
-    let error = arm.with_efforts(&[narrow]).unwrap_err();
-    assert!(error.to_string().contains("given effort: 0.4"), "{error}");
+    let dynamics = [own, EffortDynamics { lag, ..own }];
+    let arm = SimulatedArm::new(&model, start, 0.01, &model, &[], Default::default());
+    let mut arm = arm.unwrap().with_efforts(&dynamics).unwrap();
+    let peak = 0.2;
+    for (start, from, to) in [(0.0, 0.0, peak), (0.1, peak, 0.0)] {
+        let added: [&[f64]; 2] = [&[from, peak, 0.0, 0.0], &[to, peak, 0.0, 0.0]];
+        arm.send(&of_efforts(&model, [start, start + 0.1], added));
+        for k in 1..=10 {
+            let part = 0.1 * f64::from(k);
+            let t = start + 0.1 * part;
+            arm.advance(t).unwrap();
+            let command = from + (to - from) * part;
+            let expected = match to > from {
+                true => (command - play).max(0.0),
+                false => (peak - play).min(command + play),
+            };
+            let late = (peak - play) * -(-t / lag).exp_m1();
+            let found = arm.acting_efforts();
+            assert!((found[0] - 0.4 - expected).abs() < 1e-9, "{t}: {found:?}");
+            assert!((found[1] - 0.4 - late).abs() < 1e-9, "{t}: {found:?}");
+        }
+    }
 }
 
 /// A force on the tip beside the tendons holds the arm on a path as well; without one there is no law at the tip, and a loop says so.

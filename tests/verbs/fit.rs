@@ -1279,6 +1279,71 @@ fn a_table_gives_back_its_numbers() {
     }
 }
 
+/// A winch with play follows a command that rises by the play below it, and one that falls above it, and rests where the command turns back
+/// by less than twice the play. A table of such commands gives back the play beside other numbers, although rows between are held out; with the
+/// play that it has, rows are explained without it being free.
+#[test]
+fn a_table_gives_back_its_play() {
+    const PLAY: [f64; 2] = [4e-4, 4e-4];
+    let desk = Desk::new();
+    desk.write("winched.toml", WINCHED);
+    let rows = winched_rows(&desk);
+    let mut table = String::from("pattern,left,right,x,y,z\n");
+    let mut before = rows[0].0;
+    for (i, (acting, [x, y, z])) in rows.iter().enumerate() {
+        let pattern = if i % 4 == 2 { "last" } else { "first" };
+        let ahead: [f64; 2] = std::array::from_fn(|k| {
+            let rise = acting[k] - before[k];
+            acting[k] + PLAY[k] * if rise == 0.0 { 0.0 } else { rise.signum() }
+        });
+        let back: [f64; 2] = std::array::from_fn(|k| {
+            let turn = 1.9 * (acting[k] - ahead[k]);
+            ahead[k] + turn
+        });
+        for [left, right] in [ahead, back] {
+            let _ = writeln!(table, "{pattern},{left},{right},{x},{y},{z}");
+        }
+        before = *acting;
+    }
+    desk.write("rows.csv", &table);
+    let data = |play: &str| {
+        let column = |index: usize| {
+            let key = format!("tendon.{index}.rest_displacement_m");
+            format!("{{ key = \"{key}\"{play} }}\n")
+        };
+        format!(
+            "sigma_m = 1e-4\n[[marker]]\nname = \"tip\"\nat = 1.0\n[[table]]\ncsv = \"rows.csv\"\nby = \"pattern\"\n\
+             held_out_groups = [\"last\"]\n[table.positions]\ntip = {{ columns = [\"x\", \"y\", \"z\"] }}\n\
+             [table.inputs]\nleft = {}right = {}{FREE}",
+            column(0),
+            column(1)
+        )
+    };
+    let free = "[[free]]\nkey = \"play\"\nplay = [\"tendon.0.rest_displacement_m\", \"tendon.1.rest_displacement_m\"]\n";
+    desk.write("free.toml", &format!("{}{free}", data("")));
+    desk.write("known.toml", &data(&format!(", play = {}", PLAY[0])));
+    let keys: Vec<&str> = (TRUTHS.iter().map(|own| own.0))
+        .filter(|key| key.contains('.'))
+        .collect();
+    for name in ["free.toml", "known.toml"] {
+        let keys = keys.join(",");
+        let words = ["fit", "winched.toml", "--data", name, "--free", &keys];
+        let (code, summary, talk) = desk.run(&[&words[..], &["--out", "fit"]].concat());
+        assert_eq!(code, DONE, "{talk}");
+        let all = summary["parameters"].as_array().unwrap();
+        assert_eq!(all.len(), TRUTHS.len() + usize::from(name == "free.toml"));
+        for own in all {
+            let truth = TRUTHS.iter().find(|(key, _)| own["key"] == *key);
+            let truth = truth.map_or(PLAY[0], |own| own.1);
+            let value = own["value"].as_f64().unwrap();
+            assert!((value / truth - 1.0).abs() < 1e-6, "{name}: {own}");
+        }
+        for case in summary["cases"].as_array().unwrap() {
+            assert!(case["rms_m"].as_f64().unwrap() < 1e-8, "{name}: {case}");
+        }
+    }
+}
+
 /// Tables that cannot be used are refused with file, line and remedy.
 #[test]
 fn unfit_tables_are_refused() {
@@ -1321,6 +1386,34 @@ fn unfit_tables_are_refused() {
             key,
             "held_out_groups = [\"a\"]\n",
             "by names no column of groups",
+        ),
+        (
+            Some(good),
+            "left = { key = \"tendon.0.rest_displacement_m\", play = -1e-4 }",
+            "",
+            "\"left\" has play = -0.0001",
+        ),
+        (
+            Some(good),
+            &format!("{key}\n[[free]]\nkey = \"play\"\nplay = [\"tendon.1.rest_displacement_m\"]"),
+            "",
+            "of which play is the play, is set by the rows of no table",
+        ),
+        (
+            Some(good),
+            &format!(
+                "{key}\n[[free]]\nkey = \"play\"\nlower = -1.0\nplay = [\"tendon.0.rest_displacement_m\"]"
+            ),
+            "",
+            "play has lower = -1: a play is at least 0",
+        ),
+        (
+            Some(good),
+            &format!(
+                "{key}\n[[free]]\nkey = \"both\"\nplay = [\"tendon.0.rest_displacement_m\"]\nplus = [\"tendon.0.rest_displacement_m\"]"
+            ),
+            "",
+            "both has more than one of times, plus and play",
         ),
     ] {
         if let Some(rows) = rows {

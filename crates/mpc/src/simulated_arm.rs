@@ -104,9 +104,12 @@ impl ActuatorDynamics {
     }
 }
 
-/// The dynamics between the command and the effort of an actuator in the arm. The default is an actuator without lag and limits.
+/// The dynamics between the command and the effort of an actuator in the arm. The default is an actuator without play, lag and limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffortDynamics {
+    /// Half of the way that is lost where the command turns back, in the unit of the effort: the effort goes only as far toward the command
+    /// as to be no further from it than this.
+    pub play: f64,
     /// Time constant of a first-order lag, s.
     pub lag: f64,
     /// Least and largest effort, in its unit.
@@ -116,6 +119,7 @@ pub struct EffortDynamics {
 impl Default for EffortDynamics {
     fn default() -> Self {
         Self {
+            play: 0.0,
             lag: 0.0,
             range: [f64::NEG_INFINITY, f64::INFINITY],
         }
@@ -125,6 +129,11 @@ impl Default for EffortDynamics {
 impl EffortDynamics {
     /// Returns the effort one step of length `h` after `from`, toward `to`; all are counted from `given`.
     fn follow(&self, given: f64, from: f64, to: f64, h: f64) -> f64 {
+        let to = if self.play > 0.0 {
+            from.max(to - self.play).min(to + self.play)
+        } else {
+            to
+        };
         let next = if self.lag > 0.0 {
             from + (to - from) * (1.0 - (-h / self.lag).exp())
         } else {
@@ -210,7 +219,7 @@ impl<'a> SimulatedArm<'a> {
     /// Gives the actuators in the arm their dynamics, in the order of the arm; those that are left have none.
     ///
     /// # Errors
-    /// Returns [`MpcError::Setting`] for a lag or a range out of range.
+    /// Returns [`MpcError::Setting`] for a play, a lag or a range out of range.
     pub fn with_efforts(mut self, dynamics: &[EffortDynamics]) -> Result<Self, MpcError> {
         for ((own, given), dynamics) in self.efforts.iter_mut().zip(dynamics) {
             let [least, most] = dynamics.range;
@@ -221,8 +230,10 @@ impl<'a> SimulatedArm<'a> {
                     expected,
                 })
             };
-            if !(dynamics.lag.is_finite() && dynamics.lag >= 0.0) {
-                return refuse("lag", dynamics.lag, "a finite number of at least 0");
+            for (name, value) in [("play", dynamics.play), ("lag", dynamics.lag)] {
+                if !(value.is_finite() && value >= 0.0) {
+                    return refuse(name, value, "a finite number of at least 0");
+                }
             }
             if !(least <= *given && *given <= most) {
                 let expected = "within the efforts that the plant's actuator has";

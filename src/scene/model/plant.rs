@@ -64,6 +64,9 @@ macro_rules! plant_hardware {
     /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
     #[serde(default)]
     pub effort_factor: Positive<values::Factor>,
+    /// Play of the drive, as of gears or of a tendon that rubs, in the unit of the command, not negative: half of the way that is lost where
+    /// the command turns back, because the effort goes only as far toward the command as to be no further from it than this. Absent: none.
+    pub play: Option<NonNegative<values::Factor>>,
     /// Time constant in s of a first-order lag of the effort, not negative. Absent: the model's `lag_s`, or else `plant.actuator.lag_s`.
     pub lag_s: Option<NonNegative<values::Time>>,
     /// Least and largest effort that the actuator reaches, in the unit of the command, before `effort_factor`; `inf` and `-inf` are no
@@ -95,6 +98,7 @@ impl PlantTendon {
             offset_m: self.offset_m,
             offset_to_m: self.offset_to_m,
             effort_factor: self.effort_factor,
+            play: self.play,
             lag_s: self.lag_s,
             saturation: self.saturation,
         }
@@ -132,6 +136,7 @@ impl PlantHardware {
     pub(in crate::scene) fn dynamics(&self, lag: f64) -> EffortDynamics {
         let free = EffortDynamics::default();
         EffortDynamics {
+            play: self.play.map_or(free.play, Number::get),
             lag: self.lag_s.map_or(lag, Number::get),
             range: self.saturation.unwrap_or(free.range),
         }
@@ -216,7 +221,9 @@ impl Keys<'_> {
             }
             self.finite(&key("offset_m"), &own.offset_m.unwrap_or_default())?;
             self.finite(&key("offset_to_m"), &own.offset_to_m.unwrap_or_default())?;
-            if !is_control && let Some(name) = given_of(&given!(own: lag_s, saturation)).next() {
+            if !is_control
+                && let Some(name) = given_of(&given!(own: play, lag_s, saturation)).next()
+            {
                 let message = "its effort is given and no command";
                 let help =
                     format!("leave it out, or give the bounds that make [[{section}]] a control");

@@ -1,0 +1,74 @@
+//! The commands of a table of shapes at rest, and the play by which actuators lag behind them.
+//!
+//! An actuator with play does not follow a command that turns back until it has come back by twice the play: the value `z` that acts under the
+//! command `u` is the one before, moved as little as `|z - u| ≤ play` asks for. Rows therefore have an order, in which those that are compared
+//! only count as well; an actuator begins in the middle of its play, `z = u`. (M. A. Krasnosel'skii and A. V. Pokrovskii, Systems with
+//! Hysteresis, 1989.)
+
+use serde::Deserialize;
+
+use super::data::one;
+
+/// A column of commands.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InputColumn {
+    /// Key of the scene that the column sets: the effort of an actuator before the task, or the displacement of a winch.
+    pub key: String,
+    /// Factor from the numbers of the column to the unit of the key.
+    #[serde(default = "one")]
+    pub times: f64,
+    /// Value of the key where the column has zero.
+    #[serde(default)]
+    pub plus: f64,
+    /// Play of the actuator in the unit of the key: it follows a command that turns back after twice this.
+    #[serde(default)]
+    pub play: f64,
+}
+
+/// The commands of a table of shapes at rest.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rows {
+    /// Keys of the scene that its rows set.
+    pub keys: Vec<String>,
+    /// Play of every key, in its unit.
+    pub play: Vec<f64>,
+    /// Values of these keys in every row of the file, also in rows of another case, row by row.
+    pub commands: Vec<f64>,
+    /// Index of every row among those of the file.
+    pub places: Vec<usize>,
+    /// Line of the file of every row.
+    pub lines: Vec<u64>,
+    /// Group of every row; empty without groups.
+    pub groups: Vec<String>,
+}
+
+impl Rows {
+    pub fn len(&self) -> usize {
+        self.lines.len()
+    }
+
+    /// Returns the values of the keys in a row.
+    pub fn row(&self, row: usize) -> &[f64] {
+        let n = self.keys.len();
+        &self.commands[self.places[row] * n..][..n]
+    }
+
+    /// Returns the values that act in all rows of the file, row by row: `given` changes the value of a key, and `play` has that of every key.
+    pub fn acting(&self, given: &dyn Fn(&str, f64) -> f64, play: &[f64]) -> Vec<f64> {
+        let n = self.keys.len();
+        let mut out: Vec<f64> = Vec::with_capacity(self.commands.len());
+        for (place, &value) in self.commands.iter().enumerate() {
+            let key = place % n;
+            let command = given(&self.keys[key], value);
+            let before = place.checked_sub(n).map(|before| out[before]);
+            out.push(follow(before.unwrap_or(command), command, play[key]));
+        }
+        out
+    }
+}
+
+/// Returns the value with play that acts under a command, after `before` has acted.
+pub fn follow(before: f64, command: f64, play: f64) -> f64 {
+    before.max(command - play).min(command + play)
+}
