@@ -741,6 +741,7 @@ const SCENES: [&[&str]; 18] = [
         "tendon.0.name='front'",
         "tendon.0.offset_m=[0.03, 0.0]",
         "tendon.0.tension_n=[0.0, 2.0]",
+        "tendon.0.friction=0.1",
         "tendon.1.offset_m=[0.0, 0.03]",
         "tendon.1.displacement_m=[-0.02, 0.005]",
         "tendon.1.rate_m_s=0.1",
@@ -784,6 +785,9 @@ const SCENES: [&[&str]; 18] = [
         "plant.braid.0.effort_factor=0.9",
         "plant.braid.0.lag_s=0.02",
         "plant.braid.0.saturation=[0.0, 1.5]",
+        "sensor.0.preset='mocap'",
+        "estimator.kind='kalman'",
+        "estimator.disturbances.0='friction'",
         "task.position_m=[0.1, 0.0, 1.45]",
     ],
 ];

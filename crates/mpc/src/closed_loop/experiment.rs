@@ -148,10 +148,9 @@ const MEMORY: f64 = 100.0;
 const WRENCH_CHANGE: f64 = 0.007;
 /// Distance between the seeds of two runs, more than a scene has sensors.
 const MOST_SENSORS: u64 = 1000;
-/// Prior standard deviation of an unknown wrench, as the deflection that it causes divided by the length; those of other unknowns stand
-/// in [their table](Unknown::TABLE). With half and with twice
-/// the value, the error of `mpc-track-circle` in its first 0.6 s changes by -1 and 2 %; that of `mpc-reach`, whose filter refuses signals
-/// there, by -14 and 19 %, and any of the sizes scatters it by as much.
+/// Prior standard deviation of an unknown wrench, as the deflection that it causes divided by the length; those of other unknowns stand in
+/// [their table](Unknown::TABLE). With half and with twice the value, the error of `mpc-track-circle` in its first 0.6 s changes by -1 and
+/// 2 %; that of `mpc-reach`, whose filter refuses signals there, by -14 and 19 %, and any of the sizes scatters it by as much.
 const EXPECTED_DEFLECTION: f64 = 0.05;
 /// Standard deviation of the change of a parameter within [`MEMORY`] periods, divided by its prior standard deviation; measured (decision
 /// 75). A parameter that may change faster absorbs other errors of the model; for one that may change more slowly, the filter's standard deviation

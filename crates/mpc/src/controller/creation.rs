@@ -210,6 +210,7 @@ impl OneHorizon {
 /// again. The price of the limit is above that of effort there: with `c` the weight of effort, of the rate over a horizon too, `s` the scale
 /// of a winch and `u` the unit of a row, a displacement of [`FARTHEST`] `s` from where it costs nothing pulls a row by `c u/s` times as much.
 /// A higher price would have the plan answer to every length of a tendon that the noise of sensors makes up (decision 131).
+/// Without a price of effort nothing leaves a tendon slack, and there is no limit.
 fn keep_taut(problem: &mut OptimalControlProblem, keeps: bool, horizon: f64) {
     (problem.path).retain(|path| !path.limit.depends_on_inputs());
     let Some(limit) = keeps.then(|| taut_limit(problem)).flatten() else {

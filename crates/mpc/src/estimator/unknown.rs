@@ -378,7 +378,8 @@ fn tip_mass(model: &Rod) -> f64 {
 
 /// Returns the least coefficient of friction of the tendons that have some, 0 without any.
 fn least_friction(model: &Rod) -> f64 {
-    model.actuators.least_friction().unwrap_or(0.0)
+    let all = (model.actuators.rubbing()).map(|own| own.law.coefficient);
+    all.reduce(f64::min).unwrap_or(0.0)
 }
 
 /// Returns the force at the tip that deflects it by one length, times the square of the length.
