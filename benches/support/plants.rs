@@ -145,8 +145,8 @@ fn long_run(name: &str, own: &Experiment, seconds: f64) -> Result<String, MpcErr
     Ok(format!(
         "| {name} | {} | {chi} | {:.1} ± {:.1} |",
         parts.map(percent).join(" / "),
-        1e3 * last.disturbance.delay,
-        1e3 * last.deviation.delay
+        1e3 * last.disturbance.delay(),
+        1e3 * last.deviation.delay()
     ))
 }
 

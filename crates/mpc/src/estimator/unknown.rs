@@ -97,12 +97,15 @@ impl Needs {
     }
 }
 
+/// A visitor of wrenches on nodes: of the component of the unknown, the node, the axis (three of the force, spatial frame, then three of the
+/// moment, body frame) and the share of the component that acts there.
+pub(super) type Visit<'a> = dyn FnMut(usize, usize, usize, f64) + 'a;
+
 /// How an unknown enters a motion.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Effect {
-    /// Wrenches on nodes: the function calls its visitor with the component, the node, the axis (three of the force, spatial frame, then three
-    /// of the moment, body frame) and the share of the component that acts there.
-    Loads(fn(&Rod, &mut dyn FnMut(usize, usize, usize, f64))),
+    /// Wrenches on nodes: the function calls its visitor for all of them.
+    Loads(fn(&Rod, &mut Visit)),
     /// A change of the model: the function writes to a copy of the model, the last argument, what the value changes.
     Model(fn(&Rod, f64, &mut Rod)),
     /// Commands that act later, by the value.
