@@ -397,12 +397,6 @@ impl RodActuators {
         }
     }
 
-    /// Returns the least coefficient of friction of the tendons that have one; `None` without friction.
-    #[must_use]
-    pub fn least_friction(&self) -> Option<f64> {
-        (self.paths.iter().map(|path| path.law.coefficient)).reduce(f64::min)
-    }
-
     /// Copies the coefficients of friction of the same actuators of another rod, each with `added` to it.
     pub fn take_friction(&mut self, model: &Self, added: f64) {
         for (path, own) in self.paths.iter_mut().zip(&model.paths) {

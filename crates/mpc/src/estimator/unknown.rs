@@ -97,12 +97,15 @@ impl Needs {
     }
 }
 
+/// A visitor of wrenches on nodes: of the component of the unknown, the node, the axis (three of the force, spatial frame, then three of the
+/// moment, body frame) and the share of the component that acts there.
+pub(super) type Visit<'a> = dyn FnMut(usize, usize, usize, f64) + 'a;
+
 /// How an unknown enters a motion.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Effect {
-    /// Wrenches on nodes: the function calls its visitor with the component, the node, the axis (three of the force, spatial frame, then three
-    /// of the moment, body frame) and the share of the component that acts there.
-    Loads(fn(&Rod, &mut dyn FnMut(usize, usize, usize, f64))),
+    /// Wrenches on nodes: the function calls its visitor for all of them.
+    Loads(fn(&Rod, &mut Visit)),
     /// A change of the model: the function writes to a copy of the model, the last argument, what the value changes.
     Model(fn(&Rod, f64, &mut Rod)),
     /// Commands that act later, by the value.
@@ -378,7 +381,8 @@ fn tip_mass(model: &Rod) -> f64 {
 
 /// Returns the least coefficient of friction of the tendons that have some, 0 without any.
 fn least_friction(model: &Rod) -> f64 {
-    model.actuators.least_friction().unwrap_or(0.0)
+    let all = (model.actuators.rubbing()).map(|own| own.law.coefficient);
+    all.reduce(f64::min).unwrap_or(0.0)
 }
 
 /// Returns the force at the tip that deflects it by one length, times the square of the length.
