@@ -3,8 +3,8 @@
 //! With a share of the plants that may leave a limit, margins narrow the limits of the plans: back-offs from simulations of the loop itself
 //! (Bradford, Imsland, Zhang and del Rio Chanona 2020). Of `n` drawn plants, `k` may leave a limit. Each limit is narrowed by the largest
 //! excess of any sample on all but the `k` worst plants, and the loop runs on the same plants again, as long as more of them leave a limit:
-//! margins are recomputed and not differentiated. The last step is bisected until it is as small as a violation that counts as none. What the filter knows, how the plan answers, and elements that the model does not have count
-//! as they are.
+//! margins are recomputed and not differentiated. The last step is bisected until it is as small as a violation that counts as none. What
+//! the filter knows, how the plan answers, and elements that the model does not have count as they are.
 
 use std::ops::ControlFlow;
 
