@@ -8,6 +8,7 @@
 use serde::Deserialize;
 
 use super::data::one;
+use crate::mpc::follow_with_play;
 
 /// A column of commands.
 #[derive(Clone, Debug, Deserialize)]
@@ -62,13 +63,12 @@ impl Rows {
             let key = place % n;
             let command = given(&self.keys[key], value);
             let before = place.checked_sub(n).map(|before| out[before]);
-            out.push(follow(before.unwrap_or(command), command, play[key]));
+            out.push(follow_with_play(
+                before.unwrap_or(command),
+                command,
+                play[key],
+            ));
         }
         out
     }
-}
-
-/// Returns the value with play that acts under a command, after `before` has acted.
-pub fn follow(before: f64, command: f64, play: f64) -> f64 {
-    before.max(command - play).min(command + play)
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use softarm::control::{ControlKind, NamedControl};
 use softarm::mechanics::{Rod, Wrench};
-use softarm::mpc::{Command, CommandedControl, ControlList, Effect, Part};
+use softarm::mpc::{Command, CommandedControl, ControlList, ControlledPart, Effect};
 
 /// The six components of the wrenches on some nodes.
 pub fn components_of(nodes: &[usize]) -> ControlList {
@@ -22,7 +22,7 @@ pub fn components_of(nodes: &[usize]) -> ControlList {
         },
         lag: 0.0,
         effects: vec![Effect {
-            on: Part::Node(node, component),
+            on: ControlledPart::Node(node, component),
             size: 1.0,
         }],
     };

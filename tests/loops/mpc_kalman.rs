@@ -144,6 +144,21 @@ fn slow_part(model: &Rod, shape: &Configuration, change: &[f64]) -> Vec<f64> {
         .collect()
 }
 
+/// A motion of a tenth of the size of others, mild enough for the elements to bear it.
+fn moving_mildly(model: &Rod) -> State {
+    let rest = State::at_rest(model.rest.clone());
+    let mut tangent = moving(model, 1).difference(&rest);
+    for part in [
+        &mut tangent.positions,
+        &mut tangent.rotations,
+        &mut tangent.linear,
+        &mut tangent.angular,
+    ] {
+        part.iter_mut().for_each(|v| *v *= 0.1);
+    }
+    rest.retract(&tangent)
+}
+
 /// What the filter carries its error with is the derivative of the motion that carries its estimate, along the state and along every
 /// disturbance, along the parameters of the model the slow part of it, of a payload at the same velocity of the tip, and its covariance is `F P Fᵀ + Q`; over more steps than it linearizes at once as well.
 #[test]
@@ -151,20 +166,7 @@ fn predictions_are_the_linearized_motion() {
     for arm in [upright(), hanging()] {
         let model = rod(&arm, 3);
         let settings = all_disturbances(&model);
-        let mut state = moving(&model, 1);
-        // Mild enough for the elements to bear it.
-        state = State::at_rest(model.rest.clone()).retract(&{
-            let mut tangent = state.difference(&State::at_rest(model.rest.clone()));
-            for part in [
-                &mut tangent.positions,
-                &mut tangent.rotations,
-                &mut tangent.linear,
-                &mut tangent.angular,
-            ] {
-                part.iter_mut().for_each(|v| *v *= 0.1);
-            }
-            tangent
-        });
+        let state = moving_mildly(&model);
         let mut filter = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();
         let before = dense(filter.covariance());
         let act = command(&model, 0.0, PERIOD);
@@ -335,19 +337,7 @@ fn predictions_know_the_friction_of_tendons() {
     }
     let model = arm.rod(&asked).unwrap();
     let settings = settings(&model);
-    let state = moving(&model, 1);
-    let state = State::at_rest(model.rest.clone()).retract(&{
-        let mut tangent = state.difference(&State::at_rest(model.rest.clone()));
-        for part in [
-            &mut tangent.positions,
-            &mut tangent.rotations,
-            &mut tangent.linear,
-            &mut tangent.angular,
-        ] {
-            part.iter_mut().for_each(|v| *v *= 0.1);
-        }
-        tangent
-    });
+    let state = moving_mildly(&model);
     let added: [&[f64]; 2] = [&[0.0, 0.2, 0.0, -0.1], &[1.0, 0.0, 0.5, -0.1]];
     let act = of_efforts(&model, [0.0, PERIOD], added);
     let mut filter = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();

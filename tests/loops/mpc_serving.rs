@@ -15,9 +15,8 @@ use softarm::control::{Bound, Hold, Shape};
 use softarm::mechanics::State;
 use softarm::mechanics::rotation::exp;
 use softarm::mpc::{
-    Command, Computing, Contender, EffortFrom, Experiment, Known, Measurement, Part, Quantity,
-    Reading, Sensing, Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal,
-    Unknowns,
+    Command, Computing, Contender, EffortFrom, Experiment, Known, Measurement, Quantity, Reading,
+    Sensing, Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal, Unknowns,
 };
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
@@ -596,7 +595,7 @@ fn served_controls_have_the_effects_of_their_lines() {
                         .position(|drive| drive.name == name)
                         .unwrap();
                     let given = model.actuators.iter().nth(at).unwrap().effort(0.0);
-                    let effort = given + command.sum_on(Part::Effort(at), at_end);
+                    let effort = given + command.effort_on(at, at_end);
                     let served = own[ends].as_f64().unwrap();
                     assert!(
                         (effort - served).abs() <= 1e-12 * (1.0 + served.abs()),

@@ -10,7 +10,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use softarm::mechanics::rollout::{ControlRows, Rollout};
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::{Rod, State, TimeGrid, Wrench};
-use softarm::mpc::{Command, ControlList, Heard, MeasurementLine, Part, Server, Transfer};
+use softarm::mpc::{
+    Command, ControlList, ControlledPart, Heard, MeasurementLine, Server, Transfer,
+};
 use softarm::nalgebra::Vector3;
 use softarm::scene::{Scene, ServerError};
 use softarm::stop::StopSignal;
@@ -215,7 +217,7 @@ impl Controller {
         match sent.iter().rev().flatten().find(begun) {
             None => self.controls.named().map(|own| own.rest).collect(),
             Some(command) => (0..self.controls.len())
-                .map(|control| command.commanded_at(control, time))
+                .map(command.commanded_at(time))
                 .collect(),
         }
     }
@@ -313,8 +315,8 @@ impl Plant {
             self.controls.visit(
                 |control| values[control],
                 |on, amount| match on {
-                    Part::Effort(actuator) => efforts[actuator] += amount,
-                    Part::Node(node, component) => {
+                    ControlledPart::Effort(actuator) => efforts[actuator] += amount,
+                    ControlledPart::Node(node, component) => {
                         if let Some(at) = nodes.iter().position(|own| *own == node) {
                             wrenches[at][component] += amount;
                         }

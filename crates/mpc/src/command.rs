@@ -17,7 +17,7 @@ use mechanics::{ControlSignal, Efforts, NodeWrenches, Rod, Wrench};
 
 /// A part of an arm on which a control acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub enum ControlledPart {
     /// A node, and a component of its wrench: force (spatial frame) before moment (body frame).
     Node(usize, usize),
     /// The effort of an actuator in the arm, by its index.
@@ -28,7 +28,7 @@ pub enum Part {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Effect {
     /// The part.
-    pub on: Part,
+    pub on: ControlledPart,
     /// Force or moment (N, N m) or effort for each unit of the control.
     pub size: f64,
 }
@@ -58,7 +58,7 @@ impl ControlList {
     pub fn new(controls: Vec<CommandedControl>) -> Self {
         let mut nodes = Vec::new();
         for effect in controls.iter().flat_map(|control| &control.effects) {
-            if let Part::Node(node, _) = effect.on
+            if let ControlledPart::Node(node, _) = effect.on
                 && !nodes.contains(&node)
             {
                 nodes.push(node);
@@ -74,7 +74,7 @@ impl ControlList {
         let components = (nodes.iter()).flat_map(|node| (0..6).map(move |part| (*node, part)));
         let of_wrenches = components.enumerate().map(|(index, place)| {
             let named = NamedControl::on_node(&rod.mesh, place, index);
-            (named, Part::Node(place.0, place.1))
+            (named, ControlledPart::Node(place.0, place.1))
         });
         let first = 6 * nodes.len();
         let of_efforts = (rod.actuators.iter().enumerate()).map(|(actuator, drive)| {
@@ -85,7 +85,7 @@ impl ControlList {
                 index: first + actuator,
                 rest: drive.effort(0.0),
             };
-            (named, Part::Effort(actuator))
+            (named, ControlledPart::Effort(actuator))
         });
         let (mut named, parts): (Vec<_>, Vec<_>) = of_wrenches.chain(of_efforts).unzip();
         distinguish(&mut named);
@@ -111,7 +111,7 @@ impl ControlList {
     /// Returns the lag of the control that moves the effort of an actuator, s; 0 where none does.
     pub(super) fn lag_of_effort(&self, actuator: usize) -> f64 {
         let moves = |control: &&CommandedControl| {
-            (control.effects.iter()).any(|effect| effect.on == Part::Effort(actuator))
+            (control.effects.iter()).any(|effect| effect.on == ControlledPart::Effort(actuator))
         };
         (self.controls.iter().find(moves)).map_or(0.0, |control| control.lag)
     }
@@ -135,7 +135,7 @@ impl ControlList {
     }
 
     /// Shows every effect of the controls, with its amount for the given values.
-    pub fn visit(&self, value: impl Fn(usize) -> f64, mut show: impl FnMut(Part, f64)) {
+    pub fn visit(&self, value: impl Fn(usize) -> f64, mut show: impl FnMut(ControlledPart, f64)) {
         for (index, control) in self.controls.iter().enumerate() {
             let amount = value(index) - control.named.rest;
             for effect in &control.effects {
@@ -152,11 +152,11 @@ impl ControlList {
         shares: impl Fn(usize) -> S,
     ) -> Self {
         let moved = |effect: &Effect| match effect.on {
-            Part::Effort(_) => vec![*effect],
-            Part::Node(node, component) => (shares(node).into_iter())
+            ControlledPart::Effort(_) => vec![*effect],
+            ControlledPart::Node(node, component) => (shares(node).into_iter())
                 .filter(|(_, share)| *share != 0.0)
                 .map(|(node, share)| Effect {
-                    on: Part::Node(node, component),
+                    on: ControlledPart::Node(node, component),
                     size: effect.size * share,
                 })
                 .collect(),
@@ -265,49 +265,51 @@ impl Command {
         self.list.nodes()
     }
 
-    /// Returns the commanded value of a control at time `t`, constant outside of `start` to `end`.
-    #[must_use]
-    pub fn commanded_at(&self, control: usize, t: f64) -> f64 {
+    /// Returns the commanded value of every control at time `t`, constant outside of `start` to `end`.
+    pub fn commanded_at(&self, t: f64) -> impl Fn(usize) -> f64 {
         let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
-        self.from[control] * (1.0 - s) + self.to[control] * s
+        move |control| self.from[control] * (1.0 - s) + self.to[control] * s
     }
 
-    /// Returns the value of a control that acts at time `t`, as [`Self::commanded_at`] but for the lag of the control.
-    #[must_use]
-    pub fn acting_at(&self, control: usize, t: f64) -> f64 {
-        let commanded = self.commanded_at(control, t);
-        let lag = self.list.controls[control].lag;
-        if lag > 0.0 {
-            lagging(self.acting[control], commanded, t - self.start, lag)
-        } else {
-            commanded
+    /// Returns the value of every control that acts at time `t`, as [`Self::commanded_at`] but for the lag of the control.
+    pub fn acting_at(&self, t: f64) -> impl Fn(usize) -> f64 {
+        let commanded = self.commanded_at(t);
+        move |control| {
+            let lag = self.list.controls[control].lag;
+            if lag > 0.0 {
+                lagging(
+                    self.acting[control],
+                    commanded(control),
+                    t - self.start,
+                    lag,
+                )
+            } else {
+                commanded(control)
+            }
         }
     }
 
     /// Writes the wrenches that act at time `t` on [the nodes](Self::nodes), in their order.
     pub fn at(&self, t: f64, out: &mut [Wrench]) {
         out.fill(Wrench::default());
-        self.list.visit(
-            |control| self.acting_at(control, t),
-            |on, amount| {
-                if let Part::Node(node, component) = on
-                    && let Some(at) = self.nodes().iter().position(|own| *own == node)
-                {
-                    out[at][component] += amount;
-                }
-            },
-        );
+        self.list.visit(self.acting_at(t), |on, amount| {
+            if let ControlledPart::Node(node, component) = on
+                && let Some(at) = self.nodes().iter().position(|own| *own == node)
+            {
+                out[at][component] += amount;
+            }
+        });
     }
 
-    /// Returns the sum of what the commanded controls add to a part of an arm, at the start of the command or at its end.
+    /// Returns what the command adds to the effort of an actuator, at its start or at its end.
     #[must_use]
-    pub fn sum_on(&self, part: Part, at_end: bool) -> f64 {
-        let values = if at_end { &self.to } else { &self.from };
+    pub fn effort_on(&self, actuator: usize, at_end: bool) -> f64 {
         let mut sum = 0.0;
-        self.list.visit(
-            |control| values[control],
-            |on, amount| sum += if on == part { amount } else { 0.0 },
-        );
+        self.visit_end(at_end, |on, amount| {
+            if on == ControlledPart::Effort(actuator) {
+                sum += amount;
+            }
+        });
         sum
     }
 
@@ -315,39 +317,42 @@ impl Command {
     #[must_use]
     pub fn wrench_on(&self, node: usize, at_end: bool) -> Wrench {
         let mut wrench = Wrench::default();
-        for component in 0..6 {
-            wrench[component] = self.sum_on(Part::Node(node, component), at_end);
-        }
+        self.visit_end(at_end, |on, amount| {
+            if let ControlledPart::Node(at, component) = on
+                && at == node
+            {
+                wrench[component] += amount;
+            }
+        });
         wrench
+    }
+
+    /// Shows every effect of the commanded controls at the start of the command, or at its end.
+    fn visit_end(&self, at_end: bool, show: impl FnMut(ControlledPart, f64)) {
+        let values = if at_end { &self.to } else { &self.from };
+        self.list.visit(|control| values[control], show);
     }
 
     /// Adds the values that act at time `t` to the controls of all nodes and actuators.
     pub(super) fn add_at(&self, t: f64, all: &mut Controls) {
-        self.list.visit(
-            |control| self.acting_at(control, t),
-            |on, amount| all.add(on, amount),
-        );
+        self.list
+            .visit(self.acting_at(t), |on, amount| all.add(on, amount));
     }
 
     /// Adds the commanded values at time `t` as [`Self::add_at`] adds those that act.
     pub(super) fn add_commanded_at(&self, t: f64, all: &mut Controls) {
-        self.list.visit(
-            |control| self.commanded_at(control, t),
-            |on, amount| all.add(on, amount),
-        );
+        self.list
+            .visit(self.commanded_at(t), |on, amount| all.add(on, amount));
     }
 
     /// Writes the efforts of all actuators that act at time `t`, beyond the given ones.
     pub(super) fn write_efforts_at(&self, t: f64, efforts: &mut [f64]) {
         efforts.fill(0.0);
-        self.list.visit(
-            |control| self.acting_at(control, t),
-            |on, amount| {
-                if let Part::Effort(actuator) = on {
-                    efforts[actuator] += amount;
-                }
-            },
-        );
+        self.list.visit(self.acting_at(t), |on, amount| {
+            if let ControlledPart::Effort(actuator) = on {
+                efforts[actuator] += amount;
+            }
+        });
     }
 }
 
@@ -372,10 +377,10 @@ impl Controls {
     }
 
     /// Adds an amount to a part; a node is its index among the wrenches.
-    pub fn add(&mut self, on: Part, amount: f64) {
+    pub fn add(&mut self, on: ControlledPart, amount: f64) {
         match on {
-            Part::Node(node, component) => self.wrenches[node][component] += amount,
-            Part::Effort(actuator) => self.efforts[actuator] += amount,
+            ControlledPart::Node(node, component) => self.wrenches[node][component] += amount,
+            ControlledPart::Effort(actuator) => self.efforts[actuator] += amount,
         }
     }
 

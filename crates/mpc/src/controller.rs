@@ -21,7 +21,7 @@ pub use self::parts::ControllerParts;
 pub use self::settings::{EffortFrom, MpcSettings};
 use self::steps::Divided;
 pub use self::steps::with_long_steps;
-use super::command::{Command, CommandedControl, Controls, Part};
+use super::command::{Command, CommandedControl, Controls};
 use super::error::MpcError;
 use super::estimator::Motions;
 use super::holding::HeldControls;
@@ -217,7 +217,7 @@ impl Controller {
     ) -> impl Iterator<Item = (&'a str, [f64; 2])> {
         self.driven().map(move |(index, own, ..)| {
             let given = own.effort(command.start);
-            let added = [false, true].map(|at_end| command.sum_on(Part::Effort(index), at_end));
+            let added = [false, true].map(|at_end| command.effort_on(index, at_end));
             (&own.name[..], added.map(|added| given + added))
         })
     }

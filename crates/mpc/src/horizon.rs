@@ -20,7 +20,9 @@ use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
 use self::columns::{Columns, WinchSlopes};
-use super::command::{CommandedControl, ControlList, ControlOrder, Controls, Effect, Part};
+use super::command::{
+    CommandedControl, ControlList, ControlOrder, ControlledPart, Controls, Effect,
+};
 use super::error::MpcError;
 use super::estimator::{Disturbance, ModelParameters, Motions};
 use super::knots::Knots;
@@ -62,15 +64,20 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
         problem.of_wrench(component),
         problem.own_control(component),
     ) {
-        (Some((node, component)), _) => vec![effect(Part::Node(node, component), 1.0)],
+        (Some((node, component)), _) => vec![effect(ControlledPart::Node(node, component), 1.0)],
         (None, None) => (problem.driven_by(component))
-            .map(|(index, gain)| effect(Part::Effort(driven[index]), gain))
+            .map(|(index, gain)| effect(ControlledPart::Effort(driven[index]), gain))
             .collect(),
         (None, Some((index, control))) => {
             let (nodes, map) = &maps[index];
             let rows = (0..map.nrows()).filter(|row| map[(*row, control)] != 0.0);
-            rows.map(|row| effect(Part::Node(nodes[row / 6], row % 6), map[(row, control)]))
-                .collect()
+            rows.map(|row| {
+                effect(
+                    ControlledPart::Node(nodes[row / 6], row % 6),
+                    map[(row, control)],
+                )
+            })
+            .collect()
         }
     };
     Some(components.iter().map(of).collect())
@@ -609,7 +616,7 @@ impl Horizon {
                 for ((effects, scale), out) in self.effects.iter().zip(&self.scales).zip(own) {
                     let driven = effects
                         .iter()
-                        .filter(|own| own.on == Part::Effort(actuator));
+                        .filter(|own| own.on == ControlledPart::Effort(actuator));
                     let size: f64 = driven.map(|own| own.size).sum();
                     *out += slope * weight * scale * size;
                 }

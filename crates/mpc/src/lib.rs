@@ -85,7 +85,7 @@ pub use closed_loop::{
     Innovations, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles, Responded, Sample,
     SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
 };
-pub use command::{Command, CommandedControl, ControlList, Effect, Part};
+pub use command::{Command, CommandedControl, ControlList, ControlledPart, Effect};
 pub use controller::{Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord};
 #[doc(hidden)]
 pub use controller::{ControllerParts, followed, with_long_steps};
@@ -104,7 +104,7 @@ pub use serving::{
     LONGEST_LINE, SERVING_VERSION, ServeError, Served, Server, ServingEnd, read_line, serve,
 };
 pub use signal::{Measurement, Quantity, QuantityRow, Reading, Signal};
-pub use simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
+pub use simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm, follow_with_play};
 pub use subproblem::SubproblemEnd;
 pub use transfer::Transfer;
 

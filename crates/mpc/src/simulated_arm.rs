@@ -126,11 +126,18 @@ impl Default for EffortDynamics {
     }
 }
 
+/// Returns the value with play that acts under a command after `before` has acted: `before`, moved as little as a distance of at most `play`
+/// from the command asks for (Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989).
+#[must_use]
+pub fn follow_with_play(before: f64, command: f64, play: f64) -> f64 {
+    before.max(command - play).min(command + play)
+}
+
 impl EffortDynamics {
     /// Returns the effort one step of length `h` after `from`, toward `to`; all are counted from `given`.
     fn follow(&self, given: f64, from: f64, to: f64, h: f64) -> f64 {
         let to = if self.play > 0.0 {
-            from.max(to - self.play).min(to + self.play)
+            follow_with_play(from, to, self.play)
         } else {
             to
         };

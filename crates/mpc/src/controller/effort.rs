@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Controller, EffortFrom};
-use crate::command::{Effect, Part};
+use crate::command::{ControlledPart, Effect};
 use crate::holding::{Along, HeldControls, HoldingWrenches, ReferencePose};
 use control::{Channel, ControlsAlong, OptimalControlProblem, Tracking};
 use mechanics::Wrench;
@@ -129,7 +129,7 @@ impl Controller {
     fn turns(&self) -> bool {
         let followed = self.followed();
         let mut effects = self.horizon.effects.iter().flatten();
-        effects.any(|own| matches!(own.on, Part::Node(node, 3..) if node == followed))
+        effects.any(|own| matches!(own.on, ControlledPart::Node(node, 3..) if node == followed))
     }
 
     fn reference_pose(&self, t: f64, turns: bool) -> ReferencePose {
@@ -174,7 +174,7 @@ impl Controller {
         let alone = |effects: &Vec<Effect>| match effects[..] {
             [
                 Effect {
-                    on: Part::Node(at, component),
+                    on: ControlledPart::Node(at, component),
                     size,
                 },
             ] if at == node => Some((component, size)),

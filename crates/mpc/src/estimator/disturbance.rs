@@ -5,7 +5,7 @@ use serde::de::{self, MapAccess, Visitor};
 use serde::ser::SerializeMap as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::unknown::{Effect, N_COMPONENTS, N_UNKNOWNS, Unknown};
+use super::unknown::{Influence, N_COMPONENTS, N_UNKNOWNS, Unknown};
 use crate::error::MpcError;
 use mechanics::{Rod, Wrench};
 
@@ -155,7 +155,7 @@ impl Disturbance {
     /// Adds the loads of the disturbance to `wrenches`, one for each node of the rod.
     pub fn add_to(&self, rod: &Rod, wrenches: &mut [Wrench]) {
         for unknown in Unknown::all() {
-            let Effect::Loads(places) = unknown.row().effect else {
+            let Influence::Loads(places) = unknown.row().effect else {
                 continue;
             };
             let own = self.of(unknown);
@@ -174,7 +174,7 @@ impl Disturbance {
     /// Writes to `rod`, a copy of `model`, the errors of the model.
     pub fn change_model(&self, model: &Rod, rod: &mut Rod) {
         for unknown in Unknown::all() {
-            if let Effect::Model(write) = unknown.row().effect {
+            if let Influence::Model(write) = unknown.row().effect {
                 write(model, self.value(unknown), rod);
             }
         }
@@ -184,7 +184,7 @@ impl Disturbance {
     pub(crate) fn parameters(&self) -> ModelParameters {
         let mut out = Self::NONE;
         for unknown in Unknown::all() {
-            if let Effect::Model(_) = unknown.row().effect {
+            if let Influence::Model(_) = unknown.row().effect {
                 out.of_mut(unknown).copy_from_slice(self.of(unknown));
             }
         }

@@ -26,7 +26,7 @@ use super::node_frames::{NodeFrames, leave_free_motions};
 use super::prediction::{Predictor, Steps};
 use super::readings::{self, Layout};
 use super::slow::SlowPart;
-use super::unknown::{Effect, Unknown};
+use super::unknown::{Influence, Unknown};
 use super::unknown_forces::UnknownForces;
 use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation};
 use super::{check_start, check_time};
@@ -298,7 +298,7 @@ impl KalmanFilter {
                 let mut moved = *disturbance;
                 moved.of_mut(unknown)[0] += sign * change;
                 let mut command = command;
-                if matches!(row.effect, Effect::Commands) {
+                if matches!(row.effect, Influence::Commands) {
                     command = self.acting.later(steps.start, sign * change);
                 }
                 if let Some([velocity, _]) = velocities {
@@ -597,7 +597,7 @@ fn motion<'a>(rod: &'a Rod, grid: TimeGrid, initial: &'a State) -> Motion<'a> {
 /// Calls `visit` with disturbance, node, component and weight for all effects of wrenches of unit size.
 fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
     for (unknown, at) in layout.unknowns() {
-        if let Effect::Loads(places) = unknown.row().effect {
+        if let Influence::Loads(places) = unknown.row().effect {
             places(rod, &mut |component, node, axis, share| {
                 visit(at - layout.n_state + component, node, axis, share);
             });

@@ -1,6 +1,6 @@
 //! Motions of the model that begin at an estimate.
 
-use crate::command::{Command, ControlOrder, Controls, Part};
+use crate::command::{Command, ControlOrder, ControlledPart, Controls};
 use crate::signal::EARLY;
 use mechanics::{ControlSignal, Rod, State, StepError, Stepper, TimeGrid};
 
@@ -135,7 +135,7 @@ impl Predictor {
         let n_actuators = self.model.actuators.len();
         let controls = command.list.controls();
         for effect in controls.iter().flat_map(|control| &control.effects) {
-            if let Part::Effort(actuator) = effect.on
+            if let ControlledPart::Effort(actuator) = effect.on
                 && actuator >= n_actuators
             {
                 return Err(EstimateError::Actuator {

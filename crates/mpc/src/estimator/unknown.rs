@@ -103,7 +103,7 @@ pub(super) type Visit<'a> = dyn FnMut(usize, usize, usize, f64) + 'a;
 
 /// How an unknown enters a motion.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Effect {
+pub(super) enum Influence {
     /// Wrenches on nodes: the function calls its visitor for all of them.
     Loads(fn(&Rod, &mut Visit)),
     /// A change of the model: the function writes to a copy of the model, the last argument, what the value changes.
@@ -133,7 +133,7 @@ pub struct UnknownRow {
     pub neutral: f64,
     /// What an arm needs to have it.
     pub needs: Needs,
-    pub(super) effect: Effect,
+    pub(super) effect: Influence,
     /// Size that is of the order of its effects, in its unit: that of differences.
     pub(super) scale: fn(&Rod) -> f64,
     /// Prior standard deviation in a loop; of a load the value that deflects the tip by one length.
@@ -160,7 +160,7 @@ impl Unknown {
             symbols: &["f x", "f y", "f z"],
             neutral: 0.0,
             needs: Needs::FreeTip,
-            effect: Effect::Loads(|rod, visit| {
+            effect: Influence::Loads(|rod, visit| {
                 for axis in 0..3 {
                     visit(axis, rod.tip(), axis, 1.0);
                 }
@@ -182,7 +182,7 @@ impl Unknown {
                 columns: &["tip_mx", "tip_my", "tip_mz"],
                 symbols: &["m₁", "m₂", "m₃"],
                 needs: Needs::TurningTip,
-                effect: Effect::Loads(|rod, visit| {
+                effect: Influence::Loads(|rod, visit| {
                     for axis in 0..3 {
                         visit(axis, rod.tip(), 3 + axis, 1.0);
                     }
@@ -201,7 +201,7 @@ impl Unknown {
                 columns: &["distributed_x", "distributed_y", "distributed_z"],
                 symbols: &["q x", "q y", "q z"],
                 needs: Needs::Nothing,
-                effect: Effect::Loads(|rod, visit| {
+                effect: Influence::Loads(|rod, visit| {
                     for (q, element) in rod.elements.iter().enumerate() {
                         for node in [q, q + 1] {
                             for axis in 0..3 {
@@ -225,7 +225,7 @@ impl Unknown {
                 symbols: &["factor"],
                 neutral: 1.0,
                 needs: Needs::Nothing,
-                effect: Effect::Model(|model, factor, rod| rod.take_stiffness(model, factor)),
+                effect: Influence::Model(|model, factor, rod| rod.take_stiffness(model, factor)),
                 size: |_| EXPECTED_STIFFNESS,
                 range: |_| STIFFNESSES,
                 exists: |_, factor| factor > 0.0,
@@ -241,7 +241,7 @@ impl Unknown {
                 columns: &["payload"],
                 symbols: &["m"],
                 needs: Needs::FreeTip,
-                effect: Effect::Model(|model, mass, rod| {
+                effect: Influence::Model(|model, mass, rod| {
                     rod.nodes[model.tip()].mass = tip_mass(model) + mass;
                 }),
                 scale: tip_mass,
@@ -266,7 +266,7 @@ impl Unknown {
                 columns: &["viscous"],
                 symbols: &["c"],
                 needs: Needs::Nothing,
-                effect: Effect::Model(|model, rate, rod| {
+                effect: Influence::Model(|model, rate, rod| {
                     rod.viscous_damping = model.viscous_damping + rate;
                 }),
                 scale: |model| 1.0 / model.scales.time,
@@ -285,7 +285,7 @@ impl Unknown {
                 columns: &["internal"],
                 symbols: &["τ"],
                 needs: Needs::ImplicitSteps,
-                effect: Effect::Model(|model, time, rod| {
+                effect: Influence::Model(|model, time, rod| {
                     rod.internal_damping = model.internal_damping + time;
                 }),
                 scale: |model| model.scales.time,
@@ -304,7 +304,7 @@ impl Unknown {
                 columns: &["delay"],
                 symbols: &["d"],
                 needs: Needs::Nothing,
-                effect: Effect::Commands,
+                effect: Influence::Commands,
                 scale: |model| model.scales.time,
                 size: |model| EXPECTED_DELAY * model.scales.time,
                 range: |model| [-LARGEST_TIME, LARGEST_TIME].map(|part| part * model.scales.time),
@@ -321,7 +321,7 @@ impl Unknown {
                 columns: &["friction"],
                 symbols: &["μ"],
                 needs: Needs::Friction,
-                effect: Effect::Model(|model, added, rod| {
+                effect: Influence::Model(|model, added, rod| {
                     rod.actuators.take_friction(&model.actuators, added);
                 }),
                 size: |_| EXPECTED_FRICTION,
@@ -371,7 +371,7 @@ impl UnknownRow {
     /// Tells whether it is a wrench, and not a parameter of the model or of its commands.
     #[must_use]
     pub const fn is_load(&self) -> bool {
-        matches!(self.effect, Effect::Loads(_))
+        matches!(self.effect, Influence::Loads(_))
     }
 }
 

@@ -1,6 +1,6 @@
 //! The columns of the plan's coefficients in the linearized motion.
 
-use crate::command::{Effect, Part};
+use crate::command::{ControlledPart, Effect};
 use crate::knots::Knots;
 use mechanics::linearization::Motion;
 use mechanics::sensitivity::{ControlColumns, EffortColumns, EffortPulls};
@@ -79,7 +79,7 @@ impl ControlColumns for Columns<'_> {
             for (at, (effects, scale)) in self.effects.iter().zip(self.scales).enumerate() {
                 let column = coefficient * self.effects.len() + at;
                 for effect in effects {
-                    if let Part::Node(node, component) = effect.on {
+                    if let ControlledPart::Node(node, component) = effect.on {
                         visit(column, node, component, weight * scale * effect.size);
                     }
                 }

@@ -119,15 +119,15 @@ pub fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<boo
 }
 
 /// A line of the server.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Debug, Serialize)]
 #[serde(untagged)]
 pub enum Said<'a> {
     /// The first one.
     Hello(&'a Hello<'a>),
     /// A fault in a line of the plant.
-    Error(&'a ErrorLine),
+    Error(ErrorLine),
     /// The answer to a measurement.
-    Command(&'a CommandLine),
+    Command(Box<CommandLine>),
     /// The last one.
     Summary(&'a Served),
 }
@@ -158,17 +158,16 @@ pub struct Heard {
     /// Faults in the last measurement.
     pub errors: Vec<ErrorLine>,
     /// The answer to the last measurement; `None` where this was a goodbye.
-    pub command: Option<CommandLine>,
+    pub command: Option<Box<CommandLine>>,
 }
 
 impl Heard {
     /// Returns the answer to the last measurement as lines of JSON, faults first.
     #[must_use]
     pub fn lines(&self) -> String {
-        let errors = self.errors.iter().map(Said::Error);
-        let said = errors.chain(self.command.as_ref().map(Said::Command));
-        let lines = said.filter_map(|said| serde_json::to_string(&said).ok());
-        lines.map(|line| line + "\n").collect()
+        let errors = self.errors.iter().map(serde_json::to_string);
+        let lines = errors.chain(self.command.iter().map(serde_json::to_string));
+        lines.flatten().map(|line| line + "\n").collect()
     }
 }
 
@@ -176,8 +175,8 @@ impl Peer for Heard {
     fn hear(&mut self, said: Said) -> io::Result<()> {
         match said {
             Said::Hello(_) => self.hello = serde_json::to_string(&said)?,
-            Said::Error(error) => self.errors.push(error.clone()),
-            Said::Command(command) => self.command = Some(command.clone()),
+            Said::Error(error) => self.errors.push(error),
+            Said::Command(command) => self.command = Some(command),
             Said::Summary(_) => {}
         }
         Ok(())
@@ -610,7 +609,7 @@ impl<P: Peer> Server<P> {
             message: refusal.message.clone(),
             help: refusal.help.clone(),
         };
-        self.peer.hear(Said::Error(&error))
+        self.peer.hear(Said::Error(error))
     }
 
     /// Answers with the command of the sample at time `t`, and prepares the next one.
@@ -669,7 +668,7 @@ impl<P: Peer> Server<P> {
             phases_s,
             ..command(&responded, sample.t, self.intake.rotation_change)
         };
-        self.peer.hear(Said::Command(&line))?;
+        self.peer.hear(Said::Command(Box::new(line)))?;
         let answered = begin.elapsed().as_secs_f64();
         let sample = responded.prepare();
         self.prepared_in = sample.prepare_s;
@@ -691,7 +690,7 @@ impl<P: Peer> Server<P> {
             },
             ..command(&self.driver, t, self.intake.rotation_change)
         };
-        self.peer.hear(Said::Command(&line))
+        self.peer.hear(Said::Command(Box::new(line)))
     }
 
     fn note(&mut self, sample: &Sample, answered: f64) {
