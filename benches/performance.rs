@@ -12,11 +12,12 @@ use std::time::Instant;
 
 use common::{RULES, soft_arm};
 use softarm::control::{Guess, Search, search};
+use softarm::mechanics::instructions::{InstructionSet, limit_instructions};
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
     NodeWrenches, Rod, RodModel, RodParameters, Stepper, StrainRule, TimeScheme,
 };
-use softarm::mpc::Contender;
+use softarm::mpc::{Contender, Percentiles};
 use softarm::scene::{OptimalControl, Scene};
 use softarm::solve::{SolveOptions, solve_problem};
 use softarm::sqp::SqpSettings;
@@ -314,6 +315,27 @@ fn growth(page: &mut String) {
     say(page, "");
 }
 
+/// Times of the samples of a loop, s.
+fn sample_times(elements: usize, estimator: &str) -> Percentiles {
+    let overrides = [
+        format!("rod.elements={elements}"),
+        format!("estimator.kind={estimator}"),
+        if estimator == "none" {
+            "estimator.disturbances=[]".into()
+        } else {
+            "estimator.disturbances=[\"tip_force\", \"tip_moment\", \"distributed\", \"stiffness\"]"
+                .into()
+        },
+        "time.end_s=2.0".into(),
+        "mpc.counted_from_s=1.0".into(),
+    ];
+    let (scene, source) = Scene::load("mpc-track-circle", &overrides).expect("a built-in scene");
+    let found = scene.closed_loop(&source, 0, &StopSignal::default());
+    let experiment = found.expect("a loop").experiment;
+    let run = experiment.run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()));
+    run.expect("a controller").tally.sample_s
+}
+
 fn samples(page: &mut String) {
     say(
         page,
@@ -321,37 +343,34 @@ fn samples(page: &mut String) {
     );
     say(
         page,
-        "| elements | estimator | p50, ms | p99, ms |\n|---|---|---|---|",
+        "| instructions | elements | estimator | p50, ms | p99, ms |\n|---|---|---|---|---|",
     );
-    for elements in [10, 20] {
-        for estimator in ["kalman", "none"] {
-            let overrides = [
-                format!("rod.elements={elements}"),
-                format!("estimator.kind={estimator}"),
-                if estimator == "none" {
-                    "estimator.disturbances=[]".into()
-                } else {
-                    "estimator.disturbances=[\"tip_force\", \"tip_moment\", \"distributed\", \"stiffness\"]".into()
-                },
-                "time.end_s=2.0".into(),
-                "mpc.counted_from_s=1.0".into(),
-            ];
-            let (scene, source) =
-                Scene::load("mpc-track-circle", &overrides).expect("a built-in scene");
-            let found = scene.closed_loop(&source, 0, &StopSignal::default());
-            let experiment = found.expect("a loop").experiment;
-            let run = experiment.run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()));
-            let times = run.expect("a controller").tally.sample_s;
+    // What kernels take; libraries choose for themselves.
+    let mut sets = vec![(levels()[0].0, InstructionSet::Best)];
+    if levels().len() > 2 {
+        sets.push(("AVX2", InstructionSet::Avx2));
+    }
+    for (elements, estimator) in [
+        (8, "kalman"),
+        (10, "kalman"),
+        (10, "none"),
+        (20, "kalman"),
+        (20, "none"),
+    ] {
+        for (name, set) in &sets {
+            limit_instructions(*set);
+            let times = sample_times(elements, estimator);
             say(
                 page,
                 format!(
-                    "| {elements} | {estimator} | {:.2} | {:.2} |",
+                    "| {name} | {elements} | {estimator} | {:.2} | {:.2} |",
                     1e3 * times.p50,
                     1e3 * times.p99
                 ),
             );
         }
     }
+    limit_instructions(InstructionSet::Best);
     let clock = Instant::now();
     let (scene, source) = Scene::load("swing", &[]).expect("a built-in scene");
     let motion = scene.simulation(&source).expect("a simulation");

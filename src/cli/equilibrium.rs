@@ -13,6 +13,7 @@ use crate::mechanics::{Kept, LoadPath, Loss, Varied};
 use crate::output::quantity::{digits, entry, quantity};
 use crate::output::{ResultKind, RunDirectory, json_value, render_report};
 use crate::scene::{Scene, SceneSource};
+use crate::solve::learned::beyond_learned;
 use crate::solve::scene_check::warnings;
 use crate::solve::{
     EquilibriumSummary, Statics, StaticsError, StaticsOptions, equilibrium_page, statics,
@@ -111,7 +112,11 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
             return Err(error);
         }
     };
-    for warning in warnings(&scene, &found.rod, f64::NAN) {
+    let beyond = beyond_learned(&found.rod, std::iter::once(found.own.shape.poses()));
+    for warning in warnings(&scene, &found.rod, f64::NAN)
+        .into_iter()
+        .chain(beyond)
+    {
         console.warn(&warning);
     }
     if scene.task.is_some() || scene.control.is_some() {

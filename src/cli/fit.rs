@@ -179,6 +179,7 @@ fn dependence(own: &Assumption, summary: &FitSummary) -> String {
         _ => ("1 % larger", 1e-2),
     };
     let moves: Vec<String> = (summary.parameters.iter().zip(&own.moves))
+        .filter(|(parameter, _)| parameter.list.is_none())
         .map(|(parameter, moves)| format!("{} {:+.2} %", parameter.key, 100.0 * part * moves))
         .collect();
     let words = in_words(own);
@@ -201,9 +202,34 @@ fn conclude(summary: &FitSummary, console: &Console) {
     );
 }
 
+/// Returns the keys of the lists that were fitted as a whole.
+fn lists(summary: &FitSummary) -> Vec<&str> {
+    let mut out: Vec<&str> = (summary.parameters.iter())
+        .filter_map(|own| own.list.as_deref())
+        .collect();
+    out.dedup();
+    out
+}
+
 /// Prints the estimates with their errors, and what the data cannot tell.
 fn say_parameters(summary: &FitSummary, console: &Console) {
-    for own in &summary.parameters {
+    for list in lists(summary) {
+        let own = summary.parameters.iter();
+        let values: Vec<f64> = (own.filter(|own| own.list.as_deref() == Some(list)))
+            .map(|own| own.value)
+            .collect();
+        let square: f64 = values.iter().map(|value| value * value).sum();
+        let largest = values
+            .iter()
+            .fold(0.0_f64, |most, value| most.max(value.abs()));
+        console.say(&format!(
+            "  {list}: {} numbers, {} in the root of the mean square, the largest {}",
+            values.len(),
+            digits((square / values.len() as f64).sqrt()),
+            digits(largest)
+        ));
+    }
+    for own in summary.parameters.iter().filter(|own| own.list.is_none()) {
         let error = own.standard_error.map_or_else(
             || "the data cannot tell it alone".into(),
             |error| {
@@ -219,7 +245,8 @@ fn say_parameters(summary: &FitSummary, console: &Console) {
             digits(own.start)
         ));
     }
-    if !summary.explanation.assumed.is_empty() {
+    let has_single = summary.parameters.iter().any(|own| own.list.is_none());
+    if has_single && !summary.explanation.assumed.is_empty() {
         console.say("  these errors take loads, masses and times as exact:");
         for own in &summary.explanation.assumed {
             console.say(&dependence(own, summary));
@@ -254,7 +281,8 @@ fn say_parameters(summary: &FitSummary, console: &Console) {
     }
     for (i, row) in summary.correlations.iter().enumerate() {
         for (j, correlation) in row.iter().enumerate().take(i) {
-            if correlation.abs() > 0.9 {
+            let single = [i, j].map(|at| summary.parameters[at].list.is_none());
+            if correlation.abs() > 0.9 && single == [true; 2] {
                 console.say(&format!(
                     "  {} and {} are correlated: {correlation:.3}",
                     summary.parameters[j].key, summary.parameters[i].key

@@ -2,11 +2,13 @@
 
 use super::data::{self, Case, Data, Marker};
 use super::{FitError, FitOptions};
-use crate::scene::number;
+use crate::scene::{number, numbers};
 
 /// A number that is fitted.
 pub(crate) struct Free {
     pub key: String,
+    /// The key of the list of numbers that is fitted as a whole, of which this one is the entry at the end of `key`.
+    pub list: Option<String>,
     /// Paths of the numbers that it multiplies.
     pub times: Vec<String>,
     /// Paths of the numbers to which it is added.
@@ -28,12 +30,13 @@ impl Free {
     /// Returns the number of this key, as the data describe it; `own` are the entries of the scene, and `tables` those of the cases.
     fn of(
         key: &str,
+        list: Option<&str>,
         data: &Data,
         own: &toml::Table,
         (tables, cases): (&[toml::Table], &[Case]),
     ) -> Result<Self, FitError> {
         let refuse = |words: String| Err(FitError::Data(words));
-        let described = data.free.iter().find(|free| free.key == key);
+        let described = (data.free.iter()).find(|free| free.key == list.unwrap_or(key));
         let times = described.map_or(&[][..], |free| &free.times);
         let plus = described.map_or(&[][..], |free| &free.plus);
         let play = described.map_or(&[][..], |free| &free.play);
@@ -70,6 +73,7 @@ impl Free {
         let clock = clocks(key, cases)?;
         let given = described
             .and_then(|free| free.start)
+            .filter(|_| list.is_none())
             .or_else(|| match marker {
                 Some((marker, axis)) => Some(data.marker[marker].offset_m[axis]),
                 None if !clock.is_empty() => Some(0.0),
@@ -84,7 +88,11 @@ impl Free {
             ));
         };
         let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
-        let is_positive = start > 0.0 && marker.is_none() && clock.is_empty() && plus.is_empty();
+        let is_positive = start > 0.0
+            && marker.is_none()
+            && clock.is_empty()
+            && plus.is_empty()
+            && list.is_none();
         let bounds = [
             part(|free| free.lower).unwrap_or(if !play.is_empty() {
                 0.0
@@ -124,6 +132,8 @@ impl Free {
             start
                 .abs()
                 .max(CLOCK * longest(clock.iter().map(|&case| &cases[case])))
+        } else if let (Some(_), Some([_, sigma])) = (list, prior) {
+            sigma
         } else if start != 0.0 {
             start.abs()
         } else if of_rows > 0.0 {
@@ -137,6 +147,7 @@ impl Free {
         };
         Ok(Self {
             key: key.into(),
+            list: list.map(Into::into),
             times: times.to_vec(),
             plus: plus.to_vec(),
             play: play.to_vec(),
@@ -210,8 +221,15 @@ pub fn parameters(
         );
     }
     let mut out: Vec<Free> = Vec::new();
-    for key in keys {
-        let free = Free::of(key, data, own, cases)?;
+    // A list of numbers is as many numbers.
+    let all = keys.into_iter().flat_map(|key| match numbers(own, key) {
+        None => vec![(key.to_string(), None)],
+        Some(list) => (0..list.len())
+            .map(|at| (format!("{key}.{at}"), Some(key)))
+            .collect(),
+    });
+    for (key, list) in all {
+        let free = Free::of(&key, list, data, own, cases)?;
         let taken: Vec<String> = out.iter().flat_map(Free::paths).collect();
         let new = free.paths();
         if let Some(path) = (new.iter().enumerate())

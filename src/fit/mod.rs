@@ -243,14 +243,33 @@ impl Model<'_> {
     fn overrides(&self, at: &[f64], set: &[String], table: &toml::Table) -> Vec<String> {
         let own = self.source.overrides.iter().chain(set).cloned();
         let values = (self.parameters.iter().zip(at))
-            .filter(|(own, _)| own.is_key())
+            .filter(|(own, _)| own.is_key() && own.list.is_none())
             .map(|(own, at)| format!("{}={:e}", own.key, at * own.scale));
+        let lists = self.lists(at);
         let related = self.parameters.iter().flat_map(Free::related);
         let related: std::collections::BTreeSet<&String> = related.collect();
         let changed = (related.into_iter())
             .filter_map(|path| Some((path, number(table, path)?)))
             .map(|(path, value)| format!("{path}={:e}", self.given(at, path, value)));
-        own.chain(values).chain(changed).collect()
+        own.chain(values).chain(lists).chain(changed).collect()
+    }
+
+    /// Returns the overrides of lists that are fitted as a whole, whose entries follow each other.
+    fn lists(&self, at: &[f64]) -> Vec<String> {
+        let mut out: Vec<(&str, Vec<String>)> = Vec::new();
+        for (own, at) in self.parameters.iter().zip(at) {
+            let Some(list) = &own.list else {
+                continue;
+            };
+            let number = format!("{:e}", at * own.scale);
+            match out.last_mut().filter(|(key, _)| key == list) {
+                Some((_, numbers)) => numbers.push(number),
+                None => out.push((list, vec![number])),
+            }
+        }
+        (out.into_iter())
+            .map(|(key, numbers)| format!("{key}=[{}]", numbers.join(",")))
+            .collect()
     }
 
     /// Checks that there are no fewer numbers than keys.

@@ -89,6 +89,9 @@ pub struct FitSummary {
 pub struct Parameter {
     /// Dotted path, or name of a factor.
     pub key: String,
+    /// Key of the list of numbers of which it is one, if that is fitted as a whole.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub list: Option<String>,
     /// Dotted paths of the numbers that a factor multiplies.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub times: Vec<String>,
@@ -427,6 +430,7 @@ fn parameters(
             let error = inverse.map(|inverse| inverse[(i, i)].max(0.0).sqrt() * own.scale);
             Parameter {
                 key: own.key.clone(),
+                list: own.list.clone(),
                 times: own.times.clone(),
                 start: own.start,
                 value,
@@ -494,8 +498,9 @@ fn undetermined(model: &Model, found: &Minimum, scatter: f64) -> Vec<Undetermine
     let free = model.parameters;
     let n = free.len();
     let mut relative = weigh(&found.jacobian, &found.weights.map(f64::sqrt));
-    for (mut column, at) in relative.column_iter_mut().zip(&found.at) {
-        if *at != 0.0 {
+    for ((mut column, at), own) in (relative.column_iter_mut().zip(&found.at)).zip(free) {
+        // Of lists, many numbers of which are about zero, in units of their prior.
+        if *at != 0.0 && own.list.is_none() {
             column *= *at;
         }
     }

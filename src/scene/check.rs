@@ -12,6 +12,7 @@ impl Scene {
         let keys = Keys { source };
         keys.check_rod(&self.rod)?;
         keys.check_hardware(self)?;
+        keys.check_learned(self)?;
         let pieces = self.mesh().n_pieces();
         if pieces > self.rod.elements && self.rod.accuracy.is_none() {
             return Err(keys.few_elements(self.rod.elements, pieces));

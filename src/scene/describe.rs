@@ -4,9 +4,9 @@ use super::error::DescribeError;
 use super::model::geometry::wxyz;
 use super::model::{
     Base, Contact, EndKind, Initial, Limit, Objective, Obstacle, Reference, Rod, RotaryInertia,
-    Scene, Solver, Time, TimeScheme, TimeStep, Tip, describe_hardware, describe_section,
-    described_control, described_end, described_targets, described_task, describing_poses,
-    integrator, rotary_inertia,
+    Scene, Solver, Time, TimeScheme, TimeStep, Tip, describe_hardware, describe_learned,
+    describe_section, described_control, described_end, described_targets, described_task,
+    describing_poses, integrator, rotary_inertia,
 };
 use super::values::known;
 use crate::sqp::SqpSettings;
@@ -61,6 +61,10 @@ impl Scene {
         out.describe_loads(arm, mesh);
         describe_hardware(&arm.actuators, &task.efforts, &mut out).ok_or(DescribeError(
             "its arm has an actuator that no section describes, such as a push rod, or actuators in another order than that of their sections",
+        ))?;
+        let names: Vec<String> = arm.actuators.iter().map(|own| own.name.clone()).collect();
+        out.learned = describe_learned(&arm.learned, &names).ok_or(DescribeError(
+            "it has a learned density of an actuator that its arm does not have",
         ))?;
         Ok(out)
     }

@@ -56,7 +56,7 @@ pub(crate) use file::LARGEST_SCENE;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::*;
 pub use moving::{ArmNumbers, MovingArm};
-pub(crate) use overrides::number;
+pub(crate) use overrides::{number, numbers};
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};
 pub use values::{Fraction, NonNegative, PoissonRatio, Positive};
@@ -122,6 +122,7 @@ impl Scene {
             }
         })?;
         scene.read_paths(&source)?;
+        scene.read_learned(&source)?;
         scene.read_start(&source)?;
         scene.check(&source)?;
         Ok((scene, source))

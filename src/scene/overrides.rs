@@ -129,6 +129,17 @@ fn index(segment: &str) -> Option<usize> {
 
 /// Returns the number at a dotted path.
 pub(crate) fn number(table: &Table, key: &str) -> Option<f64> {
+    as_number(value_at(table, key)?)
+}
+
+/// Returns the numbers of the list at a dotted path of a scene; `None` if there is no list of numbers.
+pub(crate) fn numbers(table: &Table, key: &str) -> Option<Vec<f64>> {
+    let list = value_at(table, key)?.as_array()?;
+    let found: Option<Vec<f64>> = list.iter().map(as_number).collect();
+    found.filter(|found| !found.is_empty())
+}
+
+fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     let mut parts = key.split('.');
     let mut value = table.get(parts.next()?)?;
     for part in parts {
@@ -138,6 +149,10 @@ pub(crate) fn number(table: &Table, key: &str) -> Option<f64> {
             _ => return None,
         };
     }
+    Some(value)
+}
+
+fn as_number(value: &Value) -> Option<f64> {
     match value {
         Value::Float(number) => Some(*number),
         Value::Integer(number) => Some(*number as f64),

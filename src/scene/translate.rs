@@ -362,6 +362,8 @@ impl Scene {
         let poses = poses.flat_map(|(span, _)| span.breaks());
         let contacts = self.contact.iter();
         let contacts = contacts.flat_map(|own| [own.from.get(), own.to.get()]);
+        let learned = (self.learned.iter()).flat_map(|own| [own.from.get(), own.to.get()]);
+        let contacts = contacts.chain(learned);
         let of_rod = segments.chain(rows::steps(&curvature)).chain(bodies);
         (of_rod.chain(actuators).chain(poses))
             .chain(contacts)
@@ -419,6 +421,7 @@ impl Scene {
             tip_rotation,
             actuators: self.strain_actuators(),
             pose_actuators: self.pose_actuators(),
+            learned: self.learned_parts(),
             radii: self.radii(),
             ..straight
         };

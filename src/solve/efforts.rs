@@ -91,7 +91,7 @@ pub(crate) fn efforts_at(
 /// Returns the displacement of a tendon, m, for an input and a coordinate relative to the stress-free shape; `None` for another actuator.
 fn displacement(rod: &Rod, actuator: usize, input: f64, coordinate: f64) -> Option<f64> {
     let own = rod.actuators.strains().get(actuator)?;
-    match own.density {
+    match &own.density {
         _ if own.winch.is_some() => Some(input),
         density if density.is_tendon() => Some(-coordinate),
         _ => None,

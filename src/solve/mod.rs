@@ -17,6 +17,7 @@ mod efforts;
 mod equilibrium;
 mod examined;
 mod files;
+pub(crate) mod learned;
 pub(crate) mod nearest;
 mod page;
 #[cfg(feature = "cli")]

@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::causes::{causes, stands_by_symmetry};
 use super::efforts::slack_of_motion;
 use super::examined::{Examined, Spent};
+use super::learned::beyond_learned;
 use super::nearest::nearest_to_target;
 use super::soft_goals::soft_goals;
 use super::solution::Solution;
@@ -452,7 +453,13 @@ fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
         .into_iter()
         .any(fails)
     };
-    let growth = growth_advice(problem, check);
+    let mut growth = growth_advice(problem, check);
+    let motion = &outcome.point.trajectory;
+    let nodes = 0..=problem.grid.n_steps;
+    growth.extend(beyond_learned(
+        &problem.rod,
+        nodes.map(|k| motion.poses_at(k)),
+    ));
     if converged && !check.is_some_and(is_unresolved) {
         return growth;
     }
@@ -466,14 +473,14 @@ fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
         )
     });
     // The statics take long, so they are left out after a deadline.
-    let motion = if problem.stop.is_raised() {
+    let seen = if problem.stop.is_raised() {
         Vec::new()
     } else {
-        observe(problem, &outcome.point.trajectory, &solution.coefficients)
+        observe(problem, motion, &solution.coefficients)
     };
     (growth.into_iter())
         .chain(not_optimal)
-        .chain(motion.iter().map(ToString::to_string))
+        .chain(seen.iter().map(ToString::to_string))
         .collect()
 }
 

@@ -3,6 +3,7 @@
 
 pub mod differentiated;
 pub mod extremes;
+pub mod learned;
 pub mod plain;
 pub mod plain_curvature;
 pub mod published;

@@ -9,15 +9,18 @@ use softarm::control::{
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Acting, Actuator, Density, Efforts, Material, NodeSpring, Rod, RodModel, RodParameters, Route,
-    Section, SectionProfile, SharedActuator, State, StateView, StrainActuator, StrainRule,
-    TimeGrid, TimeScheme, Trajectory, Wrench, stable_step, static_equilibrium,
+    Acting, Actuator, Density, Efforts, LearnedPart, LearnedStrains, Material, NodeSpring, Rod,
+    RodModel, RodParameters, Route, Section, SectionProfile, SharedActuator, State, StateView,
+    StrainActuator, StrainRule, TimeGrid, TimeScheme, Trajectory, Wrench, stable_step,
+    static_equilibrium,
 };
 use softarm::solve::solve;
 use softarm::sqp::{LiftedProgram, LinearizationRequest};
 use softarm::task::{Arm, Discretization, EffortControl, StartShape, Staying, Task};
 
-/// A helical tendon over a part of the arm, a converging push rod, a chamber, a muscle and a braid, with given efforts.
+use crate::common::learned::learned;
+
+/// A helical tendon over a part of the arm, a converging push rod, a chamber, a muscle, a braid and a learned potential, with given efforts.
 fn actuators() -> Vec<StrainActuator> {
     let of = |density, scale, route, effort: f64| StrainActuator {
         name: String::new(),
@@ -54,6 +57,12 @@ fn actuators() -> Vec<StrainActuator> {
         of(Density::Volume, 1e-4, Route::straight([0.0, 7e-3]), 1e3),
         of(Density::Muscle, 1.0, short, 0.3),
         of(braid, 1.0, Route::straight([0.0, -5e-3]), 50.0),
+        of(
+            Density::Learned(learned(LearnedStrains::OfSection)),
+            1.0,
+            helix,
+            1e-3,
+        ),
     ]
 }
 
@@ -73,6 +82,13 @@ fn parameters(
         viscous_damping: damping[0],
         internal_damping: damping[1],
         actuators: actuators(),
+        learned: vec![LearnedPart {
+            name: "rest of the tendon".into(),
+            density: learned(LearnedStrains::OfLine),
+            of: vec![0],
+            from: 0.1,
+            to: 0.6,
+        }],
         ..RodParameters::straight(0.3, 5, section)
     }
 }

@@ -1,11 +1,14 @@
-//! Motions of arms with tendons, push rods, chambers, muscles and braids: balances of energy and momentum, and orders.
+//! Motions of arms with tendons, push rods, chambers, muscles, braids and learned densities: balances of energy and momentum, and orders.
 
 use nalgebra::Vector3;
 use softarm::mechanics::{
-    Density, Energy, Material, NodeWrenches, Rod, RodModel, RodParameters, Route, Section,
-    SectionProfile, State, StepError, Stepper, StrainActuator, StrainRule, TimeScheme, stable_step,
+    Density, Energy, LearnedStrains, Material, NodeWrenches, Rod, RodModel, RodParameters, Route,
+    Section, SectionProfile, State, StepError, Stepper, StrainActuator, StrainRule, TimeScheme,
+    stable_step,
 };
 use softarm::verify::ReferenceStepper;
+
+use crate::common::learned::learned;
 
 const LENGTH: f64 = 0.3;
 
@@ -13,7 +16,7 @@ fn silicone() -> Material {
     Material::isotropic(1e5, 0.4, 1070.0)
 }
 
-/// A helical tendon over a part of the arm, a tendon through disks, a push rod, a chamber, a muscle and a braid, all with an effect on the motion.
+/// A helical tendon over a part of the arm, a tendon through disks, a push rod, a chamber, a muscle, a braid and learned densities, all with an effect on the motion.
 fn actuators() -> Vec<StrainActuator> {
     let area = 1e-4;
     let of = |density, scale, route, effort: f64| StrainActuator {
@@ -72,6 +75,21 @@ fn actuators() -> Vec<StrainActuator> {
             1.0,
             Route::straight([0.0, -5e-3]),
             50.0,
+        ),
+        of(
+            Density::Learned(learned(LearnedStrains::OfSection)),
+            1.0,
+            Route::straight([0.0; 2]),
+            1e-3,
+        ),
+        of(
+            Density::Learned(learned(LearnedStrains::OfLine)),
+            1.0,
+            Route {
+                turns: 0.3,
+                ..Route::straight([4e-3, 3e-3])
+            },
+            1e-3,
         ),
     ]
 }

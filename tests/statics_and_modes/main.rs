@@ -9,6 +9,7 @@ mod direction;
 mod ends;
 mod energy_norm;
 mod friction;
+mod learned;
 mod pose_actuators;
 mod published_frequencies;
 mod published_statics;

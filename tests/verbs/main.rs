@@ -17,6 +17,7 @@ mod fit;
 mod fluid;
 mod friction;
 mod hardware;
+mod learned;
 mod mpc_verb;
 mod nearest;
 mod outcomes;

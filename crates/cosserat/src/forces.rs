@@ -112,7 +112,7 @@ impl NodalForces {
         rotations: &[Matrix3<f64>],
         efforts: &[f64],
     ) {
-        if rod.actuators.strains().is_empty() {
+        if rod.actuators.points().is_empty() {
             return;
         }
         for q in 0..rod.n_elements() {

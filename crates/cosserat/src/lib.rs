@@ -30,6 +30,8 @@ pub mod implicit;
 #[doc(hidden)]
 pub mod inertia;
 #[doc(hidden)]
+pub mod instructions;
+#[doc(hidden)]
 pub mod load;
 #[doc(hidden)]
 pub mod logarithm;
@@ -81,6 +83,7 @@ pub use actuator::{Acting, ActingDerivative};
 pub use actuator::{Actuator, SharedActuator, StateView};
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
+pub use element::learned::{Learned, LearnedBasis, LearnedStrains};
 pub use element::{Density, RodModel, StrainRule};
 pub use ends::{EndCondition, Joint};
 pub use energy::{Energy, kinetic_energy};
@@ -98,6 +101,7 @@ pub use pose_actuator::{
 };
 pub use rod::contact::{Contact, Deepest, HOLDS, Pressed, Touch};
 pub use rod::friction::{Friction, LineChange, Rubbing};
+pub use rod::learned::LearnedPart;
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile, SectionSegment,

@@ -3,6 +3,7 @@
 mod check;
 pub(super) mod contact;
 pub(super) mod friction;
+pub(super) mod learned;
 mod pose;
 #[doc(hidden)]
 pub mod pose_actuator;
@@ -13,6 +14,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use self::check::{check_computable, lumped};
 use self::contact::Contact;
+use self::learned::LearnedPart;
 use self::pose_actuator::{OfPose, PoseActuator, Span};
 use self::strain_actuator::{RodActuators, StrainActuator};
 use super::base_motion::BaseState;
@@ -121,6 +123,8 @@ pub struct RodParameters {
     pub pose_actuators: Vec<PoseActuator>,
     /// Potentials of nodes that have no effort, J.
     pub potentials: Vec<(Span, OfPose)>,
+    /// Potentials of strains, and corrections of actuators, that are learned from data.
+    pub learned: Vec<LearnedPart>,
     /// Fluid around the rod.
     pub fluid: Option<Fluid>,
     /// Bodies that the rod touches.
@@ -167,6 +171,7 @@ impl RodParameters {
             actuators: Vec::new(),
             pose_actuators: Vec::new(),
             potentials: Vec::new(),
+            learned: Vec::new(),
             fluid: None,
             contacts: Vec::new(),
             radii: Vec::new(),
@@ -185,6 +190,7 @@ impl RodParameters {
         breaks.extend((self.actuators.iter()).flat_map(StrainActuator::breaks));
         let posed = (self.pose_actuators.iter()).flat_map(|own| &own.parts);
         breaks.extend((posed.chain(&self.potentials)).flat_map(|(span, _)| span.breaks()));
+        breaks.extend((self.learned.iter()).flat_map(|own| [own.from, own.to]));
         breaks.extend(self.contacts.iter().flat_map(|contact| contact.part));
         Mesh::new(self.n_elements, &breaks, self.multiple)
     }
@@ -356,8 +362,8 @@ impl Rod {
             "none: give the tensions of its tendons",
         )?;
         let places = (&mesh, p.strain_rule, &elements[..]);
-        let mut actuators =
-            RodActuators::new(&p.actuators, &p.pose_actuators, &p.potentials, places)?;
+        let alone = (&p.potentials[..], &p.learned[..]);
+        let mut actuators = RodActuators::new(&p.actuators, &p.pose_actuators, alone, places)?;
         actuators.check_cables(&rest, scales.length)?;
         for (index, contact) in p.contacts.iter().enumerate() {
             contact.check()?;

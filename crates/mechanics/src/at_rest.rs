@@ -174,7 +174,7 @@ pub fn shapes_at_rest(
     n_threads: usize,
     stop: &StopSignal,
 ) -> Result<Vec<ShapeAtRest>, (usize, EquilibriumError)> {
-    let n = rod.actuators.len().max(1);
+    let n = rod.actuators.n_driven().max(1);
     let rod = |row: usize| Ok((rod.with_inputs(&inputs[n * row..][..n]), Vec::new()));
     shapes_of_rods(&rod, inputs.len() / n, wanted, (n_threads, stop))
 }

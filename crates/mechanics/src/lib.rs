@@ -55,21 +55,22 @@ pub mod vibration;
 pub use cosserat::{
     AUTO_STEP_FRACTION, Actuator, BaseCondition, BaseMotion, BaseState, Cable, Clock,
     Configuration, Contact, ControlSignal, CubicSpline, Deepest, Density, DistributedLoad, Drive,
-    EffortLaw, EffortState, Efforts, EndCondition, Energy, Friction, HOLDS, Joint, LineChange,
-    Load, LoadFrame, Magnet, Material, Mesh, MotionCurve, NodalFault, NodalState, NodeInertia,
-    NodeWrenches, OfPose, Oscillation, Outline, Place, PlacedFunction, PlacedPoint, Pose,
-    PoseActuator, PoseFunction, Posed, Pressed, Rod, RodActuators, RodError, RodModel,
-    RodParameters, RotaryInertia, Route, Rubbing, Scales, Section, SectionProfile, SectionSegment,
-    SharedActuator, SharedPoseFunction, Span, State, StateView, StepError, StrainActuator,
-    StrainRule, TimeGrid, TimeNode, TimeScheme, Touch, Trajectory, TrajectoryTangent, Winch,
-    Wrench, kinetic_energy, resistance, rotation, stable_step,
+    EffortLaw, EffortState, Efforts, EndCondition, Energy, Friction, HOLDS, Joint, Learned,
+    LearnedBasis, LearnedPart, LearnedStrains, LineChange, Load, LoadFrame, Magnet, Material, Mesh,
+    MotionCurve, NodalFault, NodalState, NodeInertia, NodeWrenches, OfPose, Oscillation, Outline,
+    Place, PlacedFunction, PlacedPoint, Pose, PoseActuator, PoseFunction, Posed, Pressed, Rod,
+    RodActuators, RodError, RodModel, RodParameters, RotaryInertia, Route, Rubbing, Scales,
+    Section, SectionProfile, SectionSegment, SharedActuator, SharedPoseFunction, Span, State,
+    StateView, StepError, StrainActuator, StrainRule, TimeGrid, TimeNode, TimeScheme, Touch,
+    Trajectory, TrajectoryTangent, Winch, Wrench, kinetic_energy, resistance, rotation,
+    stable_step,
 };
 #[doc(hidden)]
 pub use cosserat::{
     Acting, ActingDerivative, FormTerm, MOST_ELEMENTS, SAME_PLACE, StateForm, actuator,
     base_motion, block_tridiagonal, configuration, differences, element, ends, energy, forces,
-    forms, guards, implicit, inertia, load, nodal_state, place, pose_actuator, rod, rows, signal,
-    solid, stability, strain_actuator, strain_coordinates,
+    forms, guards, implicit, inertia, instructions, load, nodal_state, place, pose_actuator, rod,
+    rows, signal, solid, stability, strain_actuator, strain_coordinates,
 };
 #[doc(hidden)]
 pub use energy_norm::EnergyNorm;

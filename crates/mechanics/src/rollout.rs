@@ -292,7 +292,7 @@ impl Rollout<'_> {
     /// Returns the signal of an interval on a rod.
     fn signal(&self, rod: &Rod, interval: usize) -> ControlSignal {
         let (controls, grid) = (self.controls, self.grid(interval));
-        let (m, w) = (rod.actuators.len(), controls.nodes.len());
+        let (m, w) = (rod.actuators.n_driven(), controls.nodes.len());
         let drives = m > 0 && !controls.inputs.is_empty();
         let rows = controls.rows(interval);
         let mut out = ControlSignal {
@@ -358,7 +358,7 @@ impl<'a> Columns<'a> {
             n_inputs: if controls.inputs.is_empty() {
                 0
             } else {
-                motion.rod.actuators.len()
+                motion.rod.actuators.n_driven()
             },
         }
     }

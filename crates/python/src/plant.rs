@@ -208,7 +208,11 @@ impl Arm {
 
     /// Returns the inputs of all actuators that act now: those of the call before, or those of the scene.
     fn inputs(&self) -> Vec<f64> {
-        (self.inputs.clone()).unwrap_or_else(|| self.rod.actuators.efforts(self.time))
+        let mut out = self.rod.actuators.efforts(self.time);
+        for (out, own) in out.iter_mut().zip(self.inputs.iter().flatten()) {
+            *out = *own;
+        }
+        out
     }
 
     /// Moves the arm by `n` steps of `step` (s), or leaves it where it is, if `goes_on` says no after one of them.
@@ -398,7 +402,7 @@ impl Kind {
         let arm = scene.moving_arm(source, &StopSignal::default())?;
         let (initial, longest_step) = (arm.initial, arm.longest_step);
         let rod = Arc::new(arm.rod);
-        let names = (rod.actuators.iter())
+        let names = (rod.actuators.driven())
             .map(|actuator| actuator.name.clone())
             .collect();
         Ok(Self {
@@ -521,7 +525,7 @@ impl Plant {
     #[getter]
     fn units(&self) -> Vec<String> {
         let word = |unit: &str| if unit.is_empty() { "1" } else { unit }.to_string();
-        (self.kind.rod.actuators.iter())
+        (self.kind.rod.actuators.driven())
             .map(|actuator| word(actuator.input_unit()))
             .collect()
     }
@@ -531,15 +535,17 @@ impl Plant {
     fn efforts<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         let shape = &self.arm.state.configuration;
         let inputs = self.arm.inputs();
-        (self.kind.rod)
-            .actuator_efforts(inputs, shape.poses())
-            .into_pyarray(py)
+        let mut efforts = (self.kind.rod).actuator_efforts(inputs, shape.poses());
+        efforts.truncate(self.kind.names.len());
+        efforts.into_pyarray(py)
     }
 
     /// The inputs that act now, one for every actuator, in the unit of `units`: of a winch its displacement.
     #[getter]
     fn inputs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.arm.inputs().into_pyarray(py)
+        let mut inputs = self.arm.inputs();
+        inputs.truncate(self.kind.names.len());
+        inputs.into_pyarray(py)
     }
 
     /// Places of the nodes along the arm, from 0 at the base to 1, `(K+1,)`.

@@ -229,7 +229,7 @@ impl Rollout {
             n_steps,
             linear,
             nodes: nodes.into_iter().map(place).collect::<PyResult<_>>()?,
-            names: rod.actuators.iter().map(|own| own.name.clone()).collect(),
+            names: rod.actuators.driven().map(|own| own.name.clone()).collect(),
             n_nodes,
             own: Arc::new(own),
             last: Mutex::default(),

@@ -36,7 +36,7 @@ pub(super) fn inputs(
     let rod = scene
         .discrete_rod(&source)
         .map_err(|error| scene_error(py, &error))?;
-    let named = rod.actuators.iter();
+    let named = rod.actuators.driven();
     Ok(named
         .map(|own| (own.name.clone(), own.input_unit().to_string()))
         .collect())
@@ -75,7 +75,7 @@ pub(super) fn shapes<'py>(
     let rod = scene
         .discrete_rod(&source)
         .map_err(|error| scene_error(py, &error))?;
-    let m = rod.actuators.len();
+    let m = rod.actuators.n_driven();
     if m == 0 && columns.is_empty() {
         let words = "the arm has no actuator along it: give its scene a [[tendon]] or another one";
         return Err(PyValueError::new_err(words));

@@ -11,9 +11,10 @@ use mechanics::rod::append_element;
 use mechanics::rotation::{from_direction, log, log_tangent, quaternion, wxyz};
 use mechanics::rows;
 use mechanics::{
-    BaseCondition, Configuration, Contact, DistributedLoad, EndCondition, Load, LoadFrame,
-    Material, Mesh, NodalState, NodeInertia, OfPose, PoseActuator, Rod, RodError, RodModel,
-    RodParameters, RotaryInertia, Section, SectionProfile, Span, State, StrainActuator, TimeScheme,
+    BaseCondition, Configuration, Contact, DistributedLoad, EndCondition, LearnedPart, Load,
+    LoadFrame, Material, Mesh, NodalState, NodeInertia, OfPose, PoseActuator, Rod, RodError,
+    RodModel, RodParameters, RotaryInertia, Section, SectionProfile, Span, State, StrainActuator,
+    TimeScheme,
 };
 use stop::StopSignal;
 
@@ -78,6 +79,8 @@ pub struct Arm {
     pub pose_actuators: Vec<PoseActuator>,
     /// Potentials of places of the arm that have no effort, J.
     pub potentials: Vec<(Span, OfPose)>,
+    /// Potentials of the strains of the arm, and corrections of actuators on strains, that are learned from data.
+    pub learned: Vec<LearnedPart>,
     /// Fluid around the arm, whose surface is at [`Self::radii`].
     pub fluid: Option<Fluid>,
     /// Bodies that the arm touches, its surface at [`Self::radii`].
@@ -125,6 +128,7 @@ impl Arm {
             actuators: Vec::new(),
             pose_actuators: Vec::new(),
             potentials: Vec::new(),
+            learned: Vec::new(),
             fluid: None,
             contacts: Vec::new(),
             payload: None,
@@ -230,6 +234,7 @@ impl Arm {
             actuators: self.actuators.clone(),
             pose_actuators: self.pose_actuators.clone(),
             potentials: self.potentials.clone(),
+            learned: self.learned.clone(),
             fluid: self.fluid,
             contacts: self.contacts.clone(),
             radii: self.radii.clone(),

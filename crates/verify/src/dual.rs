@@ -8,7 +8,8 @@ use pulp::Arch;
 
 use mechanics::element::{Element, ElementPose};
 use mechanics::{
-    Cable, Density, Magnet, OfPose, PlacedFunction, PlacedPoint, Pose, RodModel, StrainRule,
+    Cable, Density, Learned, LearnedBasis, LearnedStrains, Magnet, OfPose, PlacedFunction,
+    PlacedPoint, Pose, RodModel, StrainRule,
 };
 
 /// Number of directions: of `y = R_aᵀ dx`, and `η` of `A = R_aᵀ R_b`, which moves to `A (I + η̂)`. Strains depend on the pose through these
@@ -322,9 +323,9 @@ fn along_line(point: &PlacedPoint, v: &Vector, kappa: &Vector) -> Dual {
     let slope = constant(point.slope);
     let p: Vector = vector(|i| v[i] + turned[i] + slope[i]);
     let stretch = dot(&p, &p).sqrt();
-    match point.density {
+    match &point.density {
         Density::Shortening => -stretch,
-        Density::Threaded { spacing } => {
+        &Density::Threaded { spacing } => {
             let bent = kappa[0] * kappa[0] + kappa[1] * kappa[1];
             bent.scale(spacing * spacing / 24.0) - stretch
         }
@@ -351,12 +352,80 @@ fn along_line(point: &PlacedPoint, v: &Vector, kappa: &Vector) -> Dual {
             };
             work(Dual::constant(1.0)) - work(bounded)
         }
-        Density::Braid { fibre, turns } => {
+        Density::Learned(own) => -learned(own, point.offset, v, kappa),
+        &Density::Braid { fibre, turns } => {
             let whole = Dual::constant(2.0 * std::f64::consts::PI * turns) + kappa[2];
             let radius = (Dual::constant(fibre * fibre) - stretch * stretch) / (whole * whole);
             (stretch * radius).scale(std::f64::consts::PI)
         }
     }
+}
+
+/// Returns `(1 - ρ)⁶ (35 ρ² + 18 ρ + 3)/3 = 1 - 28/3 ρ² + 70 ρ⁴ - 448/3 ρ⁵ + 140 ρ⁶ - 64 ρ⁷ + 35/3 ρ⁸` and its derivative along `ρ²`.
+fn wendland(square: f64) -> (f64, f64) {
+    let even = [1.0, -28.0 / 3.0, 70.0, 140.0, 35.0 / 3.0];
+    let (mut value, mut slope) = (0.0, 0.0);
+    // Horner's rule with its derivative.
+    for coefficient in even.into_iter().rev() {
+        slope = slope * square + value;
+        value = value * square + coefficient;
+    }
+    let cube = square * square.sqrt();
+    value -= square * cube * (448.0 / 3.0 + 64.0 * square);
+    slope -= cube * (448.0 / 3.0 * 2.5 + 64.0 * 3.5 * square);
+    (value, slope)
+}
+
+/// Returns the learned potential per length, of the strains of a section and the offset of a point in it.
+fn learned(own: &Learned, offset: [f64; 2], v: &Vector, kappa: &Vector) -> Dual {
+    let [d, e] = match own.strains {
+        // κ₂ d - κ₁ e is then κ₁, and κ₁ d + κ₂ e is κ₂.
+        LearnedStrains::OfSection => [0.0, -1.0],
+        LearnedStrains::OfLine => {
+            let length = offset[0].hypot(offset[1]).max(f64::MIN_POSITIVE);
+            [offset[0] / length, offset[1] / length]
+        }
+    };
+    let across = match own.strains {
+        LearnedStrains::OfSection => kappa[1],
+        LearnedStrains::OfLine => kappa[0].scale(d) + kappa[1].scale(e),
+    };
+    let x = [
+        kappa[1].scale(d) - kappa[0].scale(e),
+        across,
+        kappa[2],
+        v[2] - Dual::constant(1.0),
+    ];
+    let mut sum = Dual::constant(0.0);
+    for (j, weight) in own.weights.iter().enumerate() {
+        let value = match &own.basis {
+            LearnedBasis::Radial {
+                inverse_radii,
+                centers,
+            } => {
+                let mut square = Dual::constant(0.0);
+                for ((x, inverse), center) in x.iter().zip(inverse_radii).zip(&centers[j]) {
+                    let part = (*x - Dual::constant(*center)).scale(*inverse);
+                    square = square + part * part;
+                }
+                if square.value >= 1.0 {
+                    continue;
+                }
+                let (value, slope) = wendland(square.value);
+                square.chain(value, slope)
+            }
+            LearnedBasis::Ridge { slopes, offsets } => {
+                let mut z = Dual::constant(offsets[j]);
+                for (x, slope) in x.iter().zip(&slopes[j]) {
+                    z = z + x.scale(*slope);
+                }
+                let size = z.value.hypot(1.0);
+                z.chain(size - 1.0, z.value / size)
+            }
+        };
+        sum = sum + value.scale(*weight);
+    }
+    sum
 }
 
 /// The pose of an element: chord and relative rotation.

@@ -61,7 +61,7 @@ impl<'a> Path<'a> {
     fn tangent(&self, piece: usize, strain: &Nine) -> [Vector3<f64>; 2] {
         let q = self.own.first + piece;
         let (mut offset, mut slope, mut sum) = (Vector3::zeros(), Vector3::zeros(), 0.0);
-        for point in points(self.rod, q, self.own.line + piece) {
+        for point in points(self.rod, q, self.own.line + piece).filter(|own| own.part == 0) {
             offset += Vector3::new(point.offset[0], point.offset[1], 0.0) * point.weight;
             slope += Vector3::new(point.slope[0], point.slope[1], 0.0) * point.weight;
             sum += point.weight;

@@ -475,7 +475,7 @@ impl Common<'_> {
         let given: Vec<(f64, f64)> = rows.map(|&[t, effort]| (t, effort)).collect();
         StrainActuator {
             name: self.name(),
-            density: self.density,
+            density: self.density.clone(),
             scale: self.scale,
             route: self.routes[0],
             further: self.routes[1..].to_vec(),
@@ -574,6 +574,11 @@ impl Scene {
         let all = self.hardware();
         let own = all.iter().filter(|own| own.effort.section == section);
         own.map(Common::name).collect()
+    }
+
+    /// Returns the names of all actuators on strains.
+    pub(super) fn strain_names(&self) -> Vec<String> {
+        self.hardware().iter().map(Common::name).collect()
     }
 
     /// The actuators of the arm.

@@ -10,6 +10,7 @@ mod field;
 pub(super) mod geometry;
 mod hardware;
 mod initial;
+mod learned;
 mod limit;
 mod load;
 mod mpc;
@@ -30,6 +31,7 @@ pub use self::estimator::*;
 pub use self::field::*;
 pub use self::hardware::*;
 pub use self::initial::*;
+pub use self::learned::*;
 pub use self::limit::*;
 pub use self::load::*;
 pub use self::mpc::*;
@@ -92,6 +94,9 @@ pub struct Scene {
     /// Cables from the arm to points in space.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cable: Vec<Cable>,
+    /// Rests of the model that are learned from data.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub learned: Vec<LearnedRest>,
     /// Bodies that the arm touches: contact with a floor, a wall, a ball, a box, in every motion, simulated or optimized.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub contact: Vec<Contact>,
@@ -152,6 +157,7 @@ impl Scene {
             braid: Vec::new(),
             magnet: Vec::new(),
             cable: Vec::new(),
+            learned: Vec::new(),
             contact: Vec::new(),
             initial: None,
             time,

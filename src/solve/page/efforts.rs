@@ -123,7 +123,7 @@ impl<'a> ShownActuator<'a> {
 
     fn kind(&self) -> Kind {
         match self.strain {
-            Some(own) => kind(own.density),
+            Some(own) => kind(&own.density),
             None => kind_of_pose(&self.functions, self.drive.unit),
         }
     }
@@ -233,7 +233,7 @@ struct Kind {
 }
 
 /// Returns the kind of an actuator on strains.
-fn kind(density: Density) -> Kind {
+fn kind(density: &Density) -> Kind {
     let [word, title, color] = match density {
         Density::Shortening | Density::Threaded { .. } | Density::Lengthening => {
             ["tendon", "Tensions", "tendon"]
@@ -241,6 +241,7 @@ fn kind(density: Density) -> Kind {
         Density::Volume => ["chamber", "Pressures", "chamber"],
         Density::Braid { .. } => ["braid", "Pressures in braids", "chamber"],
         Density::Muscle => ["muscle", "Activations", "muscle"],
+        Density::Learned(_) => ["learned density", "Learned densities", "muscle"],
     };
     Kind {
         word,
@@ -312,8 +313,8 @@ fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> Repor
     let length = rod.scales.length;
     ReportRoute {
         name: own.name.clone(),
-        kind: kind(own.density).word,
-        color: kind(own.density).color,
+        kind: kind(&own.density).word,
+        color: kind(&own.density).color,
         first: nodes.first().copied().unwrap_or(0),
         offsets: (nodes.iter())
             .map(|&q| {
@@ -341,9 +342,11 @@ fn radius(own: &StrainActuator) -> f64 {
         Density::Braid { fibre, turns } => {
             (fibre * fibre - 1.0).max(0.0).sqrt() / (std::f64::consts::TAU * turns).abs()
         }
-        Density::Shortening | Density::Threaded { .. } | Density::Lengthening | Density::Muscle => {
-            0.0
-        }
+        Density::Shortening
+        | Density::Threaded { .. }
+        | Density::Lengthening
+        | Density::Muscle
+        | Density::Learned(_) => 0.0,
     }
 }
 

@@ -106,7 +106,7 @@ pub(super) fn check(
             out.number(row.effort, efforts[i], rounding, || place("effort"));
             let allowed = DERIVED * change + ROUNDINGS * at_rest[i].abs();
             out.number(row.coordinate, changes[i], allowed, || place("coordinate"));
-            let displacement = match rod.actuators.strains().get(i).map(|own| own.density) {
+            let displacement = match rod.actuators.strains().get(i).map(|own| &own.density) {
                 _ if !rod.actuators.follow_shape() => None,
                 _ if actuator.winch.is_some() => Some(inputs[i]),
                 Some(density) if density.is_tendon() => Some(-changes[i]),

@@ -18,15 +18,17 @@
 //! element here, as in the [rules](super::rule), so that stresses are derivatives along `(l v, ψ)`.
 
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 use pulp::Simd;
 
+use super::learned::{Learned, LearnedSlopes};
 use super::rule::{Blocks, Stress, TangentRule};
 use crate::part::{Part, apart};
 use crate::vector::{Lanes, Mat3, Vec3};
 
 /// The coordinate of an actuator per length of the rod, as a function of the tangent `p` of its line and of the twist `κ₃`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Density {
     /// `-|p|`: a tendon, whose tension does work as it gets shorter.
     Shortening,
@@ -50,6 +52,8 @@ pub enum Density {
         /// `ν`, turns of a fibre per length of the rod, 1/m.
         turns: f64,
     },
+    /// `-W(x)` of the strains `x` of the section, from data.
+    Learned(Arc<Learned>),
 }
 
 /// Coefficients of `w(λ)` of a muscle, the constant one first.
@@ -76,54 +80,56 @@ struct Bends<S: Simd> {
 impl Density {
     /// Returns the unit of the effort; empty for a number.
     #[must_use]
-    pub fn effort_unit(self) -> &'static str {
+    pub fn effort_unit(&self) -> &'static str {
         match self {
             Self::Shortening | Self::Threaded { .. } | Self::Lengthening => "N",
             Self::Volume | Self::Braid { .. } => "Pa",
-            Self::Muscle => "",
+            Self::Muscle | Self::Learned(_) => "",
         }
     }
 
     /// Returns the unit of the coordinate.
     #[must_use]
-    pub fn coordinate_unit(self) -> &'static str {
+    pub fn coordinate_unit(&self) -> &'static str {
         match self {
             Self::Shortening | Self::Threaded { .. } | Self::Lengthening => "m",
             Self::Volume | Self::Braid { .. } => "m³",
-            Self::Muscle => "J",
+            Self::Muscle | Self::Learned(_) => "J",
         }
     }
 
     /// Tells whether it is that of a tendon.
     #[must_use]
-    pub fn is_tendon(self) -> bool {
+    pub fn is_tendon(&self) -> bool {
         matches!(self, Self::Shortening | Self::Threaded { .. })
     }
 
     /// Returns the factor of `|p|` in a density that is a multiple of it.
     #[inline(always)]
-    fn length_sign(self) -> Option<f64> {
+    fn length_sign(&self) -> Option<f64> {
         match self {
             Self::Shortening | Self::Threaded { .. } => Some(-1.0),
             Self::Lengthening => Some(1.0),
-            Self::Volume | Self::Muscle | Self::Braid { .. } => None,
+            Self::Volume | Self::Muscle | Self::Braid { .. } | Self::Learned(_) => None,
         }
     }
 
     /// Returns the factor of `κ₁² + κ₂²` in a density that has them, m²; zero of others.
     #[inline(always)]
-    fn bend(self) -> f64 {
+    fn bend(&self) -> f64 {
         match self {
             Self::Threaded { spacing } => spacing * spacing / 24.0,
             _ => 0.0,
         }
     }
 
-    /// Returns the part of the density that depends on `λ` and `κ₃`, or for the axial component of `p` of a [`Self::Volume`].
-    fn value(self, stretch: f64, twist: f64) -> f64 {
+    /// Returns the part of the density that depends on `λ` and `κ₃`, or for the axial component of `p` of a [`Self::Volume`]; zero of a learned
+    /// one.
+    fn value(&self, stretch: f64, twist: f64) -> f64 {
         match self {
             Self::Shortening | Self::Threaded { .. } => -stretch,
             Self::Lengthening | Self::Volume => stretch,
+            Self::Learned(_) => 0.0,
             Self::Muscle => {
                 let [a, b, c, d] = MUSCLE;
                 let integral = |x: f64| x * (a + x * (b / 2.0 + x * (c / 3.0 + x * d / 4.0)));
@@ -139,12 +145,13 @@ impl Density {
     }
 
     #[inline(always)]
-    fn slopes<S: Simd>(self, stretch: Lanes<S>, twist: Lanes<S>) -> Slopes<S> {
+    fn slopes<S: Simd>(&self, stretch: Lanes<S>, twist: Lanes<S>) -> Slopes<S> {
         let simd = stretch.simd;
         let one = Lanes::splat(simd, 1.0);
         let along_stretch = match self {
             Self::Shortening | Self::Threaded { .. } => -one,
             Self::Lengthening | Self::Volume => one,
+            Self::Learned(_) => Lanes::splat(simd, 0.0),
             Self::Muscle => -muscle_force(stretch),
             Self::Braid { fibre, turns } => {
                 let inverse = one / (twist + std::f64::consts::TAU * turns);
@@ -166,7 +173,7 @@ impl Density {
     }
 
     #[inline(always)]
-    fn bends<S: Simd>(self, stretch: Lanes<S>, twist: Lanes<S>) -> Bends<S> {
+    fn bends<S: Simd>(&self, stretch: Lanes<S>, twist: Lanes<S>) -> Bends<S> {
         let simd = stretch.simd;
         let zero = Lanes::splat(simd, 0.0);
         let mut bends = Bends {
@@ -175,7 +182,11 @@ impl Density {
             twist: zero,
         };
         match self {
-            Self::Shortening | Self::Threaded { .. } | Self::Lengthening | Self::Volume => {}
+            Self::Shortening
+            | Self::Threaded { .. }
+            | Self::Lengthening
+            | Self::Volume
+            | Self::Learned(_) => {}
             Self::Muscle => bends.stretch = -muscle_slope(stretch),
             Self::Braid { fibre, turns } => {
                 let one = Lanes::splat(simd, 1.0);
@@ -255,11 +266,18 @@ impl<S: Simd> ActivePoint<S> {
 
     /// Returns the derivative of the coordinate along `(l v, ψ)`, with the strain at one end.
     #[inline(always)]
-    fn slope(&self, density: Density, linear: Vec3<S>, psi: Vec3<S>) -> (Vec3<S>, Vec3<S>) {
+    fn slope(&self, density: &Density, linear: Vec3<S>, psi: Vec3<S>) -> (Vec3<S>, Vec3<S>) {
         let zero = Lanes::splat(psi.x.simd, 0.0);
-        if density == Density::Volume {
+        if matches!(density, Density::Volume) {
             let g = Vec3::of(zero, zero, self.weight);
             return (g, self.moment(g));
+        }
+        if let Density::Learned(own) = density {
+            let slopes = self.learned::<false>(own, linear, psi);
+            return (
+                Vec3::of(zero, zero, -(slopes.axial * self.weight)),
+                slopes.angular * -self.weight,
+            );
         }
         let line = self.tangent_line(linear, psi);
         let length = (line.dot(line) + LEAST_SQUARE).sqrt();
@@ -286,7 +304,7 @@ impl<S: Simd> ActivePoint<S> {
     #[inline(always)]
     pub fn slopes<const ENDS: usize>(
         &self,
-        density: Density,
+        density: &Density,
         linear: [Vec3<S>; 2],
         psi: Vec3<S>,
     ) -> Stress<S> {
@@ -304,6 +322,45 @@ impl<S: Simd> ActivePoint<S> {
         }
     }
 
+    /// Returns the derivatives of a learned potential with the strain at one end.
+    #[inline(always)]
+    fn learned<const BENT: bool>(
+        &self,
+        own: &Learned,
+        linear: Vec3<S>,
+        psi: Vec3<S>,
+    ) -> LearnedSlopes<S> {
+        let kappa = psi * self.inverse_length;
+        own.slopes::<S, BENT>(linear.z * self.inverse_length, kappa, self.offset)
+    }
+
+    /// [`Self::add_at`] of a learned density.
+    #[inline(always)]
+    fn add_learned(
+        &self,
+        own: &Learned,
+        (linear, psi): (Vec3<S>, Vec3<S>),
+        factor: Lanes<S>,
+        end: usize,
+        (first, second): (&mut Stress<S>, &mut ActiveTangent<S>),
+    ) {
+        let slopes = self.learned::<true>(own, linear, psi);
+        // The coordinate is minus the potential.
+        let weight = -(self.weight * factor);
+        first.linear[end].z = first.linear[end].z + slopes.axial * weight;
+        first.angular = first.angular + slopes.angular * weight;
+        let weight = weight * self.inverse_length;
+        let axial = &mut second.linear[end].rows[2].z;
+        *axial = *axial + slopes.axial_axial * weight;
+        let mixed = &mut second.mixed[end].rows[2];
+        *mixed = *mixed + slopes.axial_angular * weight;
+        let [xx, xy, xz, yy, yz, zz] = slopes.angular_angular;
+        let [x, y, z] = &mut second.angular.rows;
+        *x = *x + Vec3::of(xx, xy, xz) * weight;
+        *y = *y + Vec3::of(xy, yy, yz) * weight;
+        *z = *z + Vec3::of(xz, yz, zz) * weight;
+    }
+
     /// Adds `factor` times the first and the second derivative of the coordinate with the strain at one end.
     ///
     /// With the derivative `g = (t; d × t)` of `λ` along `(v, κ)`, that of `κ₃`, `e`, and the second derivative `D` of `|p|²/2`, which is
@@ -311,7 +368,7 @@ impl<S: Simd> ActivePoint<S> {
     #[inline(always)]
     fn add_at(
         &self,
-        density: Density,
+        density: &Density,
         strain: (Vec3<S>, Vec3<S>),
         factor: Lanes<S>,
         end: usize,
@@ -320,11 +377,15 @@ impl<S: Simd> ActivePoint<S> {
         let (linear, psi) = strain;
         let simd = psi.x.simd;
         let weight = self.weight * factor;
-        if density == Density::Volume {
+        if matches!(density, Density::Volume) {
             let zero = Lanes::splat(simd, 0.0);
             let g = Vec3::of(zero, zero, weight);
             first.linear[end] = first.linear[end] + g;
             first.angular = first.angular + self.moment(g);
+            return;
+        }
+        if let Density::Learned(own) = density {
+            self.add_learned(own, strain, factor, end, (first, second));
             return;
         }
         let line = self.tangent_line(linear, psi);
@@ -396,7 +457,7 @@ impl<S: Simd> ActivePoint<S> {
     #[inline(always)]
     pub fn add_derivatives<const ENDS: usize>(
         &self,
-        density: Density,
+        density: &Density,
         (linear, psi): ([Vec3<S>; 2], Vec3<S>),
         factor: Lanes<S>,
         first: &mut Stress<S>,
@@ -417,12 +478,17 @@ impl ActivePoint<pulp::Scalar> {
     /// Returns the coordinate, with the mean over the ends that the rule has.
     pub fn value(
         &self,
-        density: Density,
+        density: &Density,
         linear: &[Vec3<pulp::Scalar>],
         psi: Vec3<pulp::Scalar>,
     ) -> f64 {
         let inverse = self.inverse_length.value;
         let of = |v: &Vec3<pulp::Scalar>| {
+            if let Density::Learned(own) = density {
+                let kappa = [psi.x, psi.y, psi.z].map(|own| own.value * inverse);
+                let offset = self.offset.map(|own| own.value);
+                return -own.value(&own.strains_at(v.z.value * inverse, kappa, offset));
+            }
             let line = self.tangent_line(*v, psi);
             let stretch = match density {
                 Density::Volume => line.z,

@@ -21,6 +21,7 @@
 mod active;
 pub mod helical;
 mod law;
+pub mod learned;
 pub mod rule;
 pub(crate) mod trapezoidal;
 

@@ -303,7 +303,10 @@ impl RodActuators {
                 for point in &mut self.points[range] {
                     if point.actuator == actuator {
                         point.line = next + k;
-                        points.push(*point);
+                        // A learned part is no part of the path.
+                        if point.part == 0 {
+                            points.push(point.clone());
+                        }
                     }
                 }
                 let sum: f64 = points.iter().map(|point| point.weight).sum();

@@ -13,6 +13,7 @@ use pulp::{Scalar, Simd};
 
 use super::contact::{Contact, Touch};
 use super::friction::{Friction, FrictionPath};
+use super::learned::LearnedPart;
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, PoseFunction as _, Span};
 use super::{Rod, RodError, require};
 use crate::configuration::{Configuration, Poses, Trajectory};
@@ -74,6 +75,39 @@ impl Route {
         (offset, slope)
     }
 
+    /// Returns the points at which an integral over the part of the line between two fractions of a rod is evaluated, for elements of these
+    /// lengths, m.
+    pub(super) fn points(&self, within: [f64; 2], lengths: &[f64]) -> Vec<RoutePoint> {
+        let length: f64 = lengths.iter().sum();
+        let (from, to) = (self.from.max(within[0]), self.to.min(within[1]));
+        let (mut out, mut start) = (Vec::new(), 0.0);
+        for (q, own) in lengths.iter().enumerate() {
+            let end = if q + 1 == lengths.len() {
+                length
+            } else {
+                start + own
+            };
+            let first = start.max(from * length);
+            let covered = end.min(to * length) - first;
+            start = end;
+            // What rounding leaves of an element beside the end of an actuator.
+            if covered <= own * 1e-12 {
+                continue;
+            }
+            for &(place, weight) in self.rule() {
+                let s = (first + place * covered) / length;
+                let (offset, slope) = self.at(s, length);
+                out.push(RoutePoint {
+                    element: q,
+                    offset,
+                    slope,
+                    length: weight * covered,
+                });
+            }
+        }
+        out
+    }
+
     /// Returns the points of the Gauss rule on the unit interval by which an element is integrated, with their weights: one where the line
     /// keeps its direction in the section, two where it turns.
     fn rule(&self) -> &'static [(f64, f64)] {
@@ -85,6 +119,18 @@ impl Route {
         ];
         if self.turns == 0.0 { &ONE } else { &TWO }
     }
+}
+
+/// A point of a line at which an integral along it is evaluated.
+pub(super) struct RoutePoint {
+    /// Index of its element.
+    pub element: usize,
+    /// Offset in the section, m.
+    pub offset: [f64; 2],
+    /// Its derivative along the rest length.
+    pub slope: [f64; 2],
+    /// Length of the rod for which it stands, m.
+    pub length: f64,
 }
 
 /// A winch that pulls a tendon in and lets it out.
@@ -209,6 +255,8 @@ pub struct Drive {
     pub largest: f64,
     /// The winch of a tendon whose input is a displacement.
     pub winch: Option<Winch>,
+    /// Tells whether it is a [learned potential](super::learned::LearnedPart) of the rod, the effort of which is 1 whatever is given.
+    pub is_learned: bool,
 }
 
 impl Drive {
@@ -301,6 +349,7 @@ impl StrainActuator {
             effort: self.effort.clone(),
             largest: self.largest,
             winch: self.winch,
+            is_learned: false,
         }
     }
 
@@ -358,17 +407,20 @@ impl PoseActuator {
             effort: self.effort.clone(),
             largest: self.largest,
             winch: None,
+            is_learned: false,
         }
     }
 }
 
 /// A point at which the coordinate of an actuator is evaluated.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PlacedPoint {
     /// Index of the actuator.
     pub actuator: usize,
     /// Index among the efforts: that of the actuator, or with friction along the path one of its own for every element.
     pub line: usize,
+    /// Zero for the density of the actuator itself, otherwise the place of a [learned part](super::learned) among those that correct it, from 1.
+    pub part: usize,
     /// Its density.
     pub density: Density,
     /// Length of the rod for which the point stands, times the scale of the actuator.
@@ -380,6 +432,12 @@ pub struct PlacedPoint {
 }
 
 impl PlacedPoint {
+    /// Returns its actuator and part, which have one density.
+    #[must_use]
+    pub fn kind(&self) -> (usize, usize) {
+        (self.actuator, self.part)
+    }
+
     /// Returns the point in an element of rest length `length` (m).
     #[inline(always)]
     pub fn in_element<S: Simd>(&self, simd: S, length: f64) -> ActivePoint<S> {
@@ -404,7 +462,7 @@ pub struct EffortState {
     pub(super) means: Vec<f64>,
 }
 
-/// The actuators of a rod, those on strains before those on poses, with their points in its elements and their functions of its nodes,
+/// The actuators of a rod, those on strains before those on poses and those before its learned potentials, with their points in its elements and their functions of its nodes,
 /// the potentials of its nodes, and the contacts of its elements.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RodActuators {
@@ -428,7 +486,7 @@ pub struct RodActuators {
 }
 
 impl RodActuators {
-    /// Places actuators on strains and on poses, and potentials without an effort, on elements.
+    /// Places actuators on strains and on poses, potentials without an effort, and learned parts on elements.
     ///
     /// # Errors
     /// Returns [`RodError`] for a part that does not exist, a number that is not finite, or a winch that pulls in more than all of its
@@ -436,7 +494,7 @@ impl RodActuators {
     pub(super) fn new(
         strains: &[StrainActuator],
         poses: &[PoseActuator],
-        potentials: &[(Span, OfPose)],
+        (potentials, learned): (&[(Span, OfPose)], &[LearnedPart]),
         (mesh, rule, elements): (&Mesh, StrainRule, &[Element]),
     ) -> Result<Self, RodError> {
         let mut out = Self::on_strains(strains, elements)?;
@@ -450,6 +508,8 @@ impl RodActuators {
         for potential in potentials {
             (out.functions).extend(PlacedFunction::placed(potential, None, mesh)?);
         }
+        let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
+        out.place_learned(learned, &lengths)?;
         out.drives.iter().try_for_each(Drive::check)?;
         // Those on poses count from zero.
         out.at_rest = vec![0.0; out.drives.len()];
@@ -511,7 +571,8 @@ impl RodActuators {
 
     /// Multiplies the given inputs of all actuators: efforts, and displacements of winches.
     pub(crate) fn multiply_inputs(&mut self, factor: f64) {
-        let own = self.drives.iter_mut().map(|drive| &mut drive.effort);
+        let driven = self.drives.iter_mut().filter(|drive| !drive.is_learned);
+        let own = driven.map(|drive| &mut drive.effort);
         let strains = self.strains.iter_mut().map(|strain| &mut strain.effort);
         for (_, input) in own.chain(strains).flatten() {
             *input *= factor;
@@ -536,53 +597,44 @@ impl RodActuators {
         if actuators.is_empty() {
             return Ok(Self::default());
         }
-        let length: f64 = lengths.iter().sum();
-        let (mut points, mut starts) = (Vec::new(), vec![0]);
-        let mut start = 0.0;
-        for (q, own) in lengths.iter().enumerate() {
-            let end = if q + 1 == lengths.len() {
-                length
-            } else {
-                start + own
-            };
-            let all = actuators.iter().enumerate();
-            let routes = all.flat_map(|(index, own)| own.routes().map(move |at| (index, own, at)));
-            for (index, actuator, route) in routes {
-                let Route { from, to, .. } = *route;
-                let first = start.max(from * length);
-                let covered = end.min(to * length) - first;
-                // What rounding leaves of an element beside the end of an actuator.
-                if covered <= own * 1e-12 {
-                    continue;
-                }
-                for &(place, weight) in route.rule() {
-                    let s = (first + place * covered) / length;
-                    let (offset, slope) = route.at(s, length);
-                    points.push(PlacedPoint {
-                        actuator: index,
-                        line: index,
-                        density: actuator.density,
-                        weight: weight * covered * actuator.scale,
-                        offset,
-                        slope,
-                    });
-                }
+        let mut of_elements = vec![Vec::new(); lengths.len()];
+        let all = actuators.iter().enumerate();
+        let routes = all.flat_map(|(index, own)| own.routes().map(move |at| (index, own, at)));
+        for (index, actuator, route) in routes {
+            for at in route.points([0.0, 1.0], &lengths) {
+                of_elements[at.element].push(PlacedPoint {
+                    actuator: index,
+                    line: index,
+                    part: 0,
+                    density: actuator.density.clone(),
+                    weight: at.length * actuator.scale,
+                    offset: at.offset,
+                    slope: at.slope,
+                });
             }
-            starts.push(points.len());
-            start = end;
         }
-        Ok(Self {
+        let mut out = Self {
             drives: actuators.iter().map(StrainActuator::drive).collect(),
             strains: actuators.to_vec(),
-            functions: Vec::new(),
-            touches: Vec::new(),
-            points,
-            starts,
-            paths: Vec::new(),
-            n_efforts: 0,
-            at_rest: Vec::new(),
-            push: false,
-        })
+            ..Self::default()
+        };
+        out.set_points(of_elements);
+        Ok(out)
+    }
+
+    /// Takes the points of all elements.
+    pub(super) fn set_points(&mut self, of_elements: Vec<Vec<PlacedPoint>>) {
+        (self.points, self.starts) = (Vec::new(), vec![0]);
+        for points in of_elements {
+            self.points.extend(points);
+            self.starts.push(self.points.len());
+        }
+    }
+
+    /// Adds what a further actuator has in common with the others; returns its index.
+    pub(super) fn add_drive(&mut self, drive: Drive) -> usize {
+        self.drives.push(drive);
+        self.drives.len() - 1
     }
 
     /// Adds the coordinates at all points for the strains of the elements, each where `of` says.
@@ -601,7 +653,7 @@ impl RodActuators {
             let (linear, psi) = stretched(&strain(q), element.length);
             for point in points {
                 let at = point.in_element(Scalar, element.length);
-                out[of(point)] += at.value(point.density, &linear[..rule.n_ends()], psi);
+                out[of(point)] += at.value(&point.density, &linear[..rule.n_ends()], psi);
             }
         }
     }
@@ -751,6 +803,17 @@ impl RodActuators {
         self.drives.iter()
     }
 
+    /// Returns those that have an input: all but the [learned potentials](super::learned), which are the last.
+    pub fn driven(&self) -> impl Iterator<Item = &Drive> {
+        self.drives.iter().filter(|drive| !drive.is_learned)
+    }
+
+    /// Returns the number of those that have an input.
+    #[must_use]
+    pub fn n_driven(&self) -> usize {
+        self.driven().count()
+    }
+
     /// Returns those on strains as they were given, which are the first actuators; the efforts that act are those of [`RodActuators::iter`].
     #[must_use]
     pub fn strains(&self) -> &[StrainActuator] {
@@ -801,12 +864,8 @@ impl RodActuators {
     #[must_use]
     pub fn with_lines_of(&self, other: &Self) -> Self {
         let mut out = self.clone();
-        let kind = |point: &PlacedPoint| (point.actuator, point.line, point.density);
-        let same = self
-            .points
-            .iter()
-            .map(kind)
-            .eq(other.points.iter().map(kind));
+        let kind = |own: &PlacedPoint| (own.actuator, own.line, own.density.clone());
+        let same = (self.points.iter().map(kind)).eq(other.points.iter().map(kind));
         if same && self.strains.len() == other.strains.len() && !self.follow_shape() {
             out.points.clone_from(&other.points);
             out.at_rest.clone_from(&other.at_rest);
@@ -845,7 +904,8 @@ impl RodActuators {
     #[must_use]
     pub fn with_efforts_at(&self, ends: [(f64, &[f64]); 2]) -> Self {
         let mut out = self.clone();
-        for (index, drive) in out.drives.iter_mut().enumerate() {
+        let driven = out.drives.iter_mut().enumerate();
+        for (index, drive) in driven.filter(|(_, drive)| !drive.is_learned) {
             drive.effort = ends.map(|(t, efforts)| (t, efforts[index])).to_vec();
         }
         out
@@ -861,7 +921,8 @@ impl RodActuators {
 
     /// Replaces the given inputs by constant ones.
     fn give(&mut self, inputs: &[f64]) {
-        for (drive, input) in self.drives.iter_mut().zip(inputs) {
+        let driven = self.drives.iter_mut().zip(inputs);
+        for (drive, input) in driven.filter(|(drive, _)| !drive.is_learned) {
             drive.effort = vec![(0.0, *input)];
         }
     }
@@ -922,8 +983,8 @@ impl Rod {
             let at = point.in_element(Scalar, length);
             // Stresses at the ends count half under the trapezoidal rule.
             let (slopes, ends) = match self.strain_rule {
-                StrainRule::Helical => (at.slopes::<1>(point.density, linear, psi), 1.0),
-                StrainRule::Trapezoidal => (at.slopes::<2>(point.density, linear, psi), 2.0),
+                StrainRule::Helical => (at.slopes::<1>(&point.density, linear, psi), 1.0),
+                StrainRule::Trapezoidal => (at.slopes::<2>(&point.density, linear, psi), 2.0),
             };
             let effort = effort(point.line);
             if effort == 0.0 {
@@ -951,7 +1012,7 @@ impl Rod {
         for point in self.actuators.on(q) {
             let at: ActivePoint<Scalar> = point.in_element(Scalar, length);
             let factor = Lanes::splat(Scalar, -effort(point.line));
-            let (density, strain) = (point.density, (linear, psi));
+            let (density, strain) = (&point.density, (linear, psi));
             match self.strain_rule {
                 StrainRule::Helical => {
                     at.add_derivatives::<1>(density, strain, factor, &mut stress, &mut sum);

@@ -1,5 +1,7 @@
 //! The stress of [actuators](cosserat::strain_actuator) in the elements of a block, one element per lane.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Vector3;
 use pulp::Simd;
 
@@ -13,7 +15,7 @@ use cosserat::element::{ActivePoint, ActiveTangent, Density};
 use cosserat::pose_actuator::{Pose, Posed};
 use cosserat::rod::Rod;
 use cosserat::signal::NodeWrenches;
-use cosserat::strain_actuator::{EffortState, RodActuators};
+use cosserat::strain_actuator::{EffortState, PlacedPoint, RodActuators};
 use cosserat::time::TimeScheme;
 
 /// Rows of a point in the elements of a block: weight over length, offset, way, inverse length.
@@ -45,30 +47,34 @@ pub struct ActiveLanes {
 
 impl ActiveLanes {
     /// Returns the points of the actuators of a rod; `None` if it has none.
-    pub fn new(rod: &Rod, slots: Slots) -> Option<Box<Self>> {
+    pub fn new<'a>(rod: &'a Rod, slots: Slots) -> Option<Box<Self>> {
         if rod.actuators.is_empty() {
             return None;
         }
-        // An actuator has so many points at most in one element.
-        let mut most = vec![0; rod.actuators.len()];
-        let each = |q: usize, visit: &mut dyn FnMut(usize, usize)| {
-            let mut seen = vec![0; rod.actuators.len()];
-            for (index, point) in rod.actuators.on(q).iter().enumerate() {
-                visit(index, seen[point.actuator]);
-                seen[point.actuator] += 1;
+        // Visits the points of an element, each with its place among those of its density there.
+        let each = |q: usize, visit: &mut dyn FnMut(&'a PlacedPoint, usize)| {
+            let points = rod.actuators.on(q);
+            for (index, point) in points.iter().enumerate() {
+                let before = points[..index].iter();
+                visit(
+                    point,
+                    before.filter(|own| own.kind() == point.kind()).count(),
+                );
             }
         };
+        // A density has so many points at most in one element.
+        let mut most = BTreeMap::new();
         for q in 0..rod.n_elements() {
-            each(q, &mut |index, nth| {
-                let most = &mut most[rod.actuators.on(q)[index].actuator];
-                *most = (nth + 1).max(*most);
+            each(q, &mut |point, nth| {
+                let own = most.entry(point.kind()).or_insert((point, 0));
+                own.1 = own.1.max(nth + 1);
             });
         }
         let mut kinds = Vec::new();
-        let mut first = Vec::new();
-        for (index, own) in rod.actuators.strains().iter().enumerate() {
-            first.push(kinds.len());
-            kinds.extend((0..most[index]).map(|_| (index, own.density)));
+        let mut first = BTreeMap::new();
+        for (kind, (point, n)) in most {
+            first.insert(kind, kinds.len());
+            kinds.extend((0..n).map(|_| (kind.0, point.density.clone())));
         }
         let n_lanes = slots.n_lanes;
         let mut rows = Buffer::zeros(slots.n_blocks * kinds.len() * POINT_ROWS * n_lanes);
@@ -80,9 +86,8 @@ impl ActiveLanes {
         for q in 0..rod.n_elements() {
             let Slot { block, lane } = slots.place(q);
             let length = rod.elements[q].length;
-            each(q, &mut |index, nth| {
-                let point = &rod.actuators.on(q)[index];
-                let at = block * kinds.len() + first[point.actuator] + nth;
+            each(q, &mut |point, nth| {
+                let at = block * kinds.len() + first[&point.kind()] + nth;
                 let numbers = [
                     point.weight / length,
                     point.offset[0],
@@ -207,10 +212,10 @@ impl<S: Simd> ActiveBlocks<'_, S> {
         stress: &mut Stress<S>,
     ) {
         let simd = psi.x.simd;
-        for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
+        for (i, (actuator, density)) in self.kinds.iter().enumerate() {
             let mut point = self.point(simd, block * self.kinds.len() + i);
             // The slopes are proportional to the weight.
-            point.weight = point.weight * -self.efforts[actuator];
+            point.weight = point.weight * -self.efforts[*actuator];
             *stress = stress.plus(point.slopes::<ENDS>(density, linear, psi));
         }
     }
@@ -226,9 +231,9 @@ impl<S: Simd> ActiveBlocks<'_, S> {
         let simd = psi.x.simd;
         let mut sum = ActiveTangent::zero(simd);
         let mut stress = Stress::zero(simd);
-        for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
+        for (i, (actuator, density)) in self.kinds.iter().enumerate() {
             let point = self.point(simd, block * self.kinds.len() + i);
-            let factor = Lanes::splat(simd, -self.efforts[actuator]);
+            let factor = Lanes::splat(simd, -self.efforts[*actuator]);
             let strain = (linear, psi);
             point.add_derivatives::<ENDS>(density, strain, factor, &mut stress, &mut sum);
         }

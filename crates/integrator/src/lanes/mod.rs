@@ -44,6 +44,7 @@ use cosserat::element::{Helical, RodModel, Trapezoidal};
 use cosserat::forces::NodalForces;
 use cosserat::guards::approach_base;
 use cosserat::inertia::InertiaRule;
+use cosserat::instructions::instructions;
 use cosserat::load::Wrench;
 use cosserat::rod::{BaseCondition, Rod};
 use cosserat::rotation::{from_quaternion, quaternion, wxyz};
@@ -174,7 +175,7 @@ impl<'a> LaneIntegrator<'a> {
     /// Starts from a state at time 0; a driven base is moved to the start of its motion.
     #[must_use]
     pub fn new(rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Self {
-        Self::on(Arch::new(), rod, clock, initial)
+        Self::on(instructions(), rod, clock, initial)
     }
 
     /// Starts on a given instruction set; the result does not depend on it.
@@ -189,7 +190,7 @@ impl<'a> LaneIntegrator<'a> {
     /// Resumes from the state after `step` steps of the same length, exactly as an integrator that is [re-seated](Self::reseat) there.
     #[must_use]
     pub fn resume(rod: &'a Rod, clock: impl Into<Clock>, state: &State, step: usize) -> Self {
-        Self::empty(Arch::new(), rod, clock.into()).seated(state, step)
+        Self::empty(instructions(), rod, clock.into()).seated(state, step)
     }
 
     fn empty(arch: Arch, rod: &'a Rod, clock: Clock) -> Self {

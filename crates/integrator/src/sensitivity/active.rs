@@ -20,6 +20,7 @@ use cosserat::element::{
     Stress, TangentRule, Trapezoidal, Turns, stiffness_under,
 };
 use cosserat::forces::{IntervalMemory, SlopeMemory};
+use cosserat::instructions::instructions;
 use cosserat::load::Wrench;
 use cosserat::part::{Part, apart};
 use cosserat::rod::Rod;
@@ -386,9 +387,9 @@ impl<S: Simd, R: TangentRule> Part for Stressed<'_, S, R> {
         for point in efforts.actuators.on(q) {
             let at = point.in_element(simd, length);
             let slopes = if R::ENDS == 1 {
-                at.slopes::<1>(point.density, strain.linear, strain.angular)
+                at.slopes::<1>(&point.density, strain.linear, strain.angular)
             } else {
-                at.slopes::<2>(point.density, strain.linear, strain.angular)
+                at.slopes::<2>(&point.density, strain.linear, strain.angular)
             };
             sum = sum.minus(slopes.times(efforts.effort(simd, point.line)));
         }
@@ -428,9 +429,9 @@ impl<S: Simd, R: TangentRule> Part for Derivatives<'_, S, R> {
             // The potential is minus the coordinate.
             let factor = -efforts.effort(simd, point.line) * factor;
             if R::ENDS == 1 {
-                at.add_derivatives::<1>(point.density, strain, factor, stress, tangent);
+                at.add_derivatives::<1>(&point.density, strain, factor, stress, tangent);
             } else {
-                at.add_derivatives::<2>(point.density, strain, factor, stress, tangent);
+                at.add_derivatives::<2>(&point.density, strain, factor, stress, tangent);
             }
         }
     }
@@ -570,7 +571,7 @@ impl EffortPulls {
         for (own, &actuator) in actuators.iter().enumerate() {
             index[actuator] = Some(own);
         }
-        let n_lanes = dispatch(Arch::new(), CountLanes);
+        let n_lanes = dispatch(instructions(), CountLanes);
         let n_covectors = if with_slopes {
             ends * rod.n_nodes() * 6
         } else {
@@ -621,7 +622,7 @@ impl EffortPulls {
         self.wrenches.fill(0.0);
         self.slopes.fill(0.0);
         let ends = self.scheme.n_ends();
-        let arch = Arch::new();
+        let arch = instructions();
         let n_lanes = dispatch(arch, CountLanes);
         let Self {
             index,
@@ -902,9 +903,9 @@ impl PullGroup<'_> {
                 let mut pulls = [[[zero; 3]; 2]; 3];
                 for (pulls, (poses, strain)) in pulls.iter_mut().zip(&poses).take(signs.len()) {
                     let slopes = if R::ENDS == 1 {
-                        here.slopes::<1>(point.density, strain.linear, strain.angular)
+                        here.slopes::<1>(&point.density, strain.linear, strain.angular)
                     } else {
-                        here.slopes::<2>(point.density, strain.linear, strain.angular)
+                        here.slopes::<2>(&point.density, strain.linear, strain.angular)
                     };
                     // The potential is minus the coordinate.
                     let stress = slopes.times(Lanes::splat(simd, -1.0));

@@ -20,6 +20,7 @@ use cosserat::element::{
     ActivePoint, AnyTurn, Density, Element, Helical, MildTurn, RodModel, StrainRule, Stress,
     TangentRule, Trapezoidal,
 };
+use cosserat::instructions::instructions;
 use cosserat::rod::Rod;
 use cosserat::rotation_step::momentum_coefficients;
 use cosserat::time::TimeScheme;
@@ -183,7 +184,7 @@ impl Contracted {
         points: bool,
     ) -> Self {
         let rod = motion.rod;
-        let arch = Arch::new();
+        let arch = instructions();
         let n_efforts = rod.actuators.n_efforts();
         let mut out = Self {
             lines: vec![0.0; n_efforts * motion.n_sets()],
@@ -420,8 +421,8 @@ impl Group<'_> {
                 let own_rows = (first + index) * POINT_ROWS;
                 let mut sum = [zero; POINT_ROWS];
                 for (part, &(strain, weight)) in acting.iter().enumerate().take(n_acting) {
-                    let on = PointWork::<S, R> {
-                        density: point.density,
+                    let on = PointWork::<'_, S, R> {
+                        density: &point.density,
                         strain,
                         along: [near, far, turn],
                         weight,
@@ -452,8 +453,8 @@ impl Group<'_> {
 }
 
 /// The work of the stress of a unit effort at a point on the strain along the covectors.
-struct PointWork<S: Simd, R> {
-    density: Density,
+struct PointWork<'a, S: Simd, R> {
+    density: &'a Density,
     strain: Stress<S>,
     /// The strain along the covectors.
     along: [Vec3<S>; 3],
@@ -461,7 +462,7 @@ struct PointWork<S: Simd, R> {
     rule: PhantomData<R>,
 }
 
-impl<S: Simd, R: TangentRule> PointWork<S, R> {
+impl<S: Simd, R: TangentRule> PointWork<'_, S, R> {
     #[inline(always)]
     fn of(&self, at: &ActivePoint<S>) -> Lanes<S> {
         let Stress { linear, angular } = self.strain;

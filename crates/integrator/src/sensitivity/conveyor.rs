@@ -12,6 +12,7 @@ use super::along::Along;
 use super::linearize::Memory;
 use super::step::LinearizedStep;
 use super::team::{lock, read, rounds, write};
+use cosserat::instructions::instructions;
 use cosserat::step_error::StepError;
 use stop::StopSignal;
 
@@ -89,7 +90,7 @@ impl Conveyor<'_> {
         work: impl Fn(usize, usize, &Group) + Sync,
     ) -> Result<(), StepError> {
         let n_groups = self.range.len().div_ceil(GROUP * PIECE);
-        let arch = Arch::new();
+        let arch = instructions();
         let mut pieces = SPARE.take();
         pieces.resize_with(2 * GROUP, RwLock::default);
         let place = |group: usize, piece: usize| &pieces[(group % 2) * GROUP + piece];

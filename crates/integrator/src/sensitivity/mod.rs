@@ -51,6 +51,7 @@ use cosserat::configuration::{Trajectory, TrajectoryTangent};
 use cosserat::element::RodModel;
 use cosserat::forms::{NODE_COMPONENTS, StateForm};
 use cosserat::implicit::IntervalWeights;
+use cosserat::instructions::instructions;
 use cosserat::signal::ControlSignal;
 use cosserat::step_error::StepError;
 
@@ -247,7 +248,7 @@ pub fn adjoint_along(
         return Ok((zeros, vec![0.0; n_columns]));
     }
     let tile = Mutex::new(ReverseTile::of_sum(&task));
-    let arch = Arch::new();
+    let arch = instructions();
     (task.conveyor(None, 0..n_times, Sense::Backward)).run(
         1,
         |_| 1,
@@ -296,7 +297,7 @@ pub fn direction(
     };
     // What answers to the sources and what answers to the control are its first two columns.
     let sweep = Mutex::new((Tile::new(&task, 0, None), nothing));
-    let arch = Arch::new();
+    let arch = instructions();
     (task.conveyor(None, 0..n_times, Sense::Forward)).run(
         1,
         |_| 1,
@@ -329,7 +330,7 @@ pub fn linearized_steps(
         multipliers: None,
         stretch: 0..=motion.grid.n_steps,
     };
-    let arch = Arch::new();
+    let arch = instructions();
     Memory::of(arch, motion).linearize(arch, &along, 0, &mut steps)?;
     Ok(steps)
 }
@@ -351,7 +352,7 @@ pub fn carried(
         forms: &[],
         n_threads: 1,
     };
-    let arch = Arch::new();
+    let arch = instructions();
     let mut tile = Tile::new(&task, 0, None);
     for (k, step) in steps.iter().enumerate() {
         tile.advance(arch, step, k, &task);
@@ -436,7 +437,7 @@ pub fn transition_by(
             RwLock::new(tile)
         })
         .collect();
-    let arch = Arch::new();
+    let arch = instructions();
     let last = range.end;
     let mut conveyor = task.conveyor(None, range.start..last + 1, Sense::Forward);
     conveyor.along.stretch = range.start..=last;
@@ -604,7 +605,7 @@ impl Task<'_> {
                 .collect(),
             None => Vec::new(),
         };
-        let arch = Arch::new();
+        let arch = instructions();
         let n_times = match multipliers {
             Some(_) => self.motion.grid.n_steps + 1,
             None => self.n_times(),
@@ -674,7 +675,7 @@ impl Task<'_> {
         let tiles: Vec<Mutex<ReverseTile>> = (0..n_tiles)
             .map(|index| Mutex::new(ReverseTile::new(self, index * TILE)))
             .collect();
-        let arch = Arch::new();
+        let arch = instructions();
         (self.conveyor(None, 0..self.n_times(), Sense::Backward)).run(
             1,
             |_| n_tiles,

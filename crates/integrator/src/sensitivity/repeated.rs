@@ -14,6 +14,7 @@ use super::{ConstantColumns, ControlColumns, InputVisitor, TILE, Task};
 use crate::linearization::Motion;
 use cosserat::configuration::Trajectory;
 use cosserat::forms::{NODE_COMPONENTS, StateForm};
+use cosserat::instructions::instructions;
 use cosserat::step_error::StepError;
 
 /// The values of forms along columns and along the state at the start, by the reverse route on one thread: the numbers of
@@ -40,7 +41,7 @@ impl RepeatedReverse {
         let mut steps = Vec::new();
         steps.resize_with(PIECE, LinearizedStep::default);
         Self {
-            memory: Memory::of(Arch::new(), motion),
+            memory: Memory::of(instructions(), motion),
             steps,
             tiles: (0..n_tiles)
                 .map(|index| ReverseTile::new(&task, index * TILE))
@@ -61,7 +62,7 @@ impl RepeatedReverse {
         forms: &[StateForm],
     ) -> Result<(), StepError> {
         let task = task(motion, trajectory, columns, forms);
-        let arch = Arch::new();
+        let arch = instructions();
         for tile in &mut self.tiles {
             tile.restart(forms);
         }
@@ -122,7 +123,7 @@ impl RepeatedForward {
         let mut steps = Vec::new();
         steps.resize_with(PIECE, LinearizedStep::default);
         Self {
-            memory: Memory::of(Arch::new(), motion),
+            memory: Memory::of(instructions(), motion),
             steps,
             tiles: (0..(size + n_inputs).div_ceil(TILE))
                 .map(|index| Tile::new(&task, index * TILE, None))
@@ -149,7 +150,7 @@ impl RepeatedForward {
             inputs,
         };
         let task = task(motion, trajectory, &columns, &[]);
-        let arch = Arch::new();
+        let arch = instructions();
         for (index, tile) in self.tiles.iter_mut().enumerate() {
             tile.restart();
             for column in (index * TILE..self.size).take(TILE) {

@@ -16,6 +16,7 @@ use cosserat::element::StrainRule;
 use cosserat::element::{AnyTurn, Elasticity, Helical, MildTurn, TangentRule, Trapezoidal};
 use cosserat::guards::not_finite;
 use cosserat::inertia::InertiaRule;
+use cosserat::instructions::instructions;
 use cosserat::pose_actuator::Posed;
 use cosserat::rod::Rod;
 use cosserat::rotation::cay_inverse;
@@ -39,7 +40,7 @@ pub fn defects(
         &along
     };
     let in_lanes = is_possible(motion);
-    defects_on(Arch::new(), in_lanes, motion, trajectory, control)
+    defects_on(instructions(), in_lanes, motion, trajectory, control)
 }
 
 /// Number of rows of a node: elastic force and moment, angular momentum that leaves and that arrives.

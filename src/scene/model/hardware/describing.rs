@@ -16,10 +16,10 @@ pub(in crate::scene) fn describe_hardware(
     let mut order = Vec::new();
     for (index, own) in actuators.iter().enumerate() {
         let common = Described::of(actuators, index, efforts)?;
-        order.push(match own.density {
+        order.push(match &own.density {
             Density::Shortening | Density::Threaded { .. } => {
-                let spacing = match own.density {
-                    Density::Threaded { spacing } => known(spacing),
+                let spacing = match &own.density {
+                    Density::Threaded { spacing } => known(*spacing),
                     _ => known(0.0),
                 };
                 let sliding = own.friction.and_then(|own| {
@@ -55,10 +55,10 @@ pub(in crate::scene) fn describe_hardware(
                 "muscle"
             }
             Density::Braid { fibre, turns } if own.scale == 1.0 => {
-                (out.braid).push(Braid::describing(common, known(fibre), turns));
+                (out.braid).push(Braid::describing(common, known(*fibre), *turns));
                 "braid"
             }
-            Density::Lengthening | Density::Braid { .. } => return None,
+            Density::Lengthening | Density::Braid { .. } | Density::Learned(_) => return None,
         });
     }
     let place = |own: &&str| SECTIONS.iter().position(|section| section == own);
