@@ -307,6 +307,7 @@ fn faulty_densities_are_refused() {
         ),
         (radial.replace("-1.0", "1.0"), "learned.0.grid.0"),
         (radial.replace("3]]", "0]]"), "learned.0.grid.0"),
+        (radial.replace("3]]", "2.5]]"), "learned.0.grid.0"),
         (radial.replace("3]]", "2000]]"), "learned.0.grid"),
         (format!("{radial}weights = [1.0]\n"), "learned.0.weights"),
         (

@@ -1,5 +1,6 @@
 //! The discrete rod: elements, sections, lumped masses, base, loads and scales.
 
+mod active;
 mod check;
 pub(super) mod contact;
 pub(super) mod friction;
@@ -7,8 +8,10 @@ pub(super) mod learned;
 mod pose;
 #[doc(hidden)]
 pub mod pose_actuator;
+mod route;
 #[doc(hidden)]
 pub mod strain_actuator;
+mod winch;
 
 use nalgebra::{Matrix3, Vector3};
 

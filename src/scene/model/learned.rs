@@ -34,8 +34,8 @@ pub struct LearnedRest {
     /// Strains on which it depends, each once: "bend_1" and "bend_2" in 1/m, about the axes of the section; with `of` instead of these "toward",
     /// the bending that shortens a tendon there, and "across"; "twist" in 1/m; "stretch", 0 at rest.
     pub strains: Vec<LearnedStrain>,
-    /// Radial functions on a grid: [least, largest, number] for every strain. With three numbers a strain there is a function at both ends.
-    pub grid: Option<Vec<(f64, f64, usize)>>,
+    /// Radial functions on a grid: [least, largest, number] for every strain, with centers at both ends; a number of 1 is one in the middle.
+    pub grid: Option<Vec<[f64; 3]>>,
     /// Instead of `grid`: centers c of radial functions, each with a number for every strain.
     pub centers: Option<Vec<Vec<f64>>>,
     /// Radii h of radial functions, one for every strain: `φ = (1 - ρ)⁶ (35 ρ² + 18 ρ + 3)/3` at the distance ρ = |(x - c)/h| below 1, else 0.
@@ -111,9 +111,10 @@ const MOST_FUNCTIONS: usize = 1000;
 const GRID_RADIUS: f64 = 3.0;
 
 /// Returns the points of a grid, the last strain changing first.
-fn grid_points(grid: &[(f64, f64, usize)]) -> Vec<Vec<f64>> {
+fn grid_points(grid: &[[f64; 3]]) -> Vec<Vec<f64>> {
     let mut out = vec![Vec::new()];
-    for &(least, largest, n) in grid {
+    for &[least, largest, n] in grid {
+        let n = n as usize;
         let at = |k: usize| match n {
             1 => 0.5 * (least + largest),
             _ => least + (largest - least) * k as f64 / (n - 1) as f64,
@@ -138,8 +139,8 @@ impl LearnedRest {
     /// Returns the radii of radial functions, as given or those of a grid.
     fn radii(&self) -> Vec<f64> {
         let of_grid = || {
-            let spacing = |&(least, largest, n): &(f64, f64, usize)| {
-                GRID_RADIUS * (largest - least) / (n.max(2) - 1) as f64
+            let spacing = |&[least, largest, n]: &[f64; 3]| {
+                GRID_RADIUS * (largest - least) / (n.max(2.0) - 1.0)
             };
             self.grid.iter().flatten().map(spacing).collect()
         };
@@ -390,16 +391,16 @@ impl Keys<'_> {
             if grid.len() != n {
                 return wrong("grid", grid.len(), n, "strain");
             }
-            for (at, &(least, largest, count)) in grid.iter().enumerate() {
+            for (at, &[least, largest, count]) in grid.iter().enumerate() {
                 self.finite(&key(&format!("grid.{at}")), &[least, largest])?;
-                if !(least < largest) || count == 0 {
+                if !(least < largest && count >= 1.0 && count.fract() == 0.0) {
                     return Err((self.source)
                         .error_at(&key(&format!("grid.{at}")), "no interval with points", None)
-                        .expecting("expected [least, largest, number], the second above the first, the number at least 1"));
+                        .expecting("expected [least, largest, number], the second above the first, the number whole and at least 1"));
                 }
             }
-            let many = (grid.iter()).fold(1usize, |many, row| many.saturating_mul(row.2));
-            if many > MOST_FUNCTIONS {
+            let many: f64 = grid.iter().map(|row| row[2]).product();
+            if many > MOST_FUNCTIONS as f64 {
                 return Err((self.source)
                     .error_at(&key("grid"), format!("{many} functions"), None)
                     .expecting(format!("expected at most {MOST_FUNCTIONS}")));

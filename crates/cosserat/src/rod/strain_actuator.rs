@@ -8,211 +8,21 @@
 //! An explicit step takes this stress at the time nodes, like the elastic one. An implicit step takes it at the mean strain of the
 //! interval, with the mean of the efforts at its two ends.
 
-use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
 use super::contact::{Contact, Touch};
 use super::friction::{Friction, FrictionPath};
 use super::learned::LearnedPart;
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, PoseFunction as _, Span};
-use super::{Rod, RodError, require};
-use crate::configuration::{Configuration, Poses, Trajectory};
-use crate::element::{
-    ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
-    ElementStrain, IntervalStress, StrainRule, Stress,
-};
+pub use super::route::Route;
+pub use super::winch::{EffortLaw, Winch};
+use super::{RodError, require};
+use crate::configuration::Configuration;
+use crate::element::{ActivePoint, Density, Element, ElementStrain, StrainRule};
 use crate::load::profile;
 use crate::mesh::Mesh;
-use crate::time::{TimeNode, TimeScheme};
+use crate::time::TimeNode;
 use crate::vector::{Lanes, Vec3};
-
-/// The line of an actuator in the arm at rest.
-///
-/// Between `from` and `to` the offset goes linearly from `offset_from` to `offset_to` and turns with the section's axes by `turns`
-/// revolutions, positive about `e₃`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Route {
-    /// Start, as a fraction of the rest length from the base.
-    pub from: f64,
-    /// End, as such a fraction.
-    pub to: f64,
-    /// Offset in the section at the start, along its two axes, m.
-    pub offset_from: [f64; 2],
-    /// Offset at the end before it is turned, m.
-    pub offset_to: [f64; 2],
-    /// Revolutions from start to end.
-    pub turns: f64,
-}
-
-impl Route {
-    /// Returns a line parallel to the axis over the whole arm.
-    #[must_use]
-    pub fn straight(offset: [f64; 2]) -> Self {
-        Self {
-            from: 0.0,
-            to: 1.0,
-            offset_from: offset,
-            offset_to: offset,
-            turns: 0.0,
-        }
-    }
-
-    /// Returns the offset `d` (m) and its derivative `d'` along the rest length at the fraction `s` of an arm of length `length` (m).
-    #[must_use]
-    pub fn at(&self, s: f64, length: f64) -> ([f64; 2], [f64; 2]) {
-        let span = self.to - self.from;
-        let part = (s - self.from) / span;
-        let (sin, cos) = (std::f64::consts::TAU * self.turns * part).sin_cos();
-        let rate = std::f64::consts::TAU * self.turns / (span * length);
-        let [x, y] =
-            [0, 1].map(|i| self.offset_from[i] + (self.offset_to[i] - self.offset_from[i]) * part);
-        let [vx, vy] = [0, 1].map(|i| (self.offset_to[i] - self.offset_from[i]) / (span * length));
-        let offset = [cos * x - sin * y, sin * x + cos * y];
-        let slope = [
-            cos * vx - sin * vy - rate * offset[1],
-            sin * vx + cos * vy + rate * offset[0],
-        ];
-        (offset, slope)
-    }
-
-    /// Returns the points at which an integral over the part of the line between two fractions of a rod is evaluated, for elements of these
-    /// lengths, m.
-    pub(super) fn points(&self, within: [f64; 2], lengths: &[f64]) -> Vec<RoutePoint> {
-        let length: f64 = lengths.iter().sum();
-        let (from, to) = (self.from.max(within[0]), self.to.min(within[1]));
-        let (mut out, mut start) = (Vec::new(), 0.0);
-        for (q, own) in lengths.iter().enumerate() {
-            let end = if q + 1 == lengths.len() {
-                length
-            } else {
-                start + own
-            };
-            let first = start.max(from * length);
-            let covered = end.min(to * length) - first;
-            start = end;
-            // What rounding leaves of an element beside the end of an actuator.
-            if covered <= own * 1e-12 {
-                continue;
-            }
-            for &(place, weight) in self.rule() {
-                let s = (first + place * covered) / length;
-                let (offset, slope) = self.at(s, length);
-                out.push(RoutePoint {
-                    element: q,
-                    offset,
-                    slope,
-                    length: weight * covered,
-                });
-            }
-        }
-        out
-    }
-
-    /// Returns the points of the Gauss rule on the unit interval by which an element is integrated, with their weights: one where the line
-    /// keeps its direction in the section, two where it turns.
-    fn rule(&self) -> &'static [(f64, f64)] {
-        const ONE: [(f64, f64); 1] = [(0.5, 1.0)];
-        // ½ (1 ∓ 1/√3)
-        const TWO: [(f64, f64); 2] = [
-            (0.211_324_865_405_187_13, 0.5),
-            (0.788_675_134_594_812_9, 0.5),
-        ];
-        if self.turns == 0.0 { &ONE } else { &TWO }
-    }
-}
-
-/// A point of a line at which an integral along it is evaluated.
-pub(super) struct RoutePoint {
-    /// Index of its element.
-    pub element: usize,
-    /// Offset in the section, m.
-    pub offset: [f64; 2],
-    /// Its derivative along the rest length.
-    pub slope: [f64; 2],
-    /// Length of the rod for which it stands, m.
-    pub length: f64,
-}
-
-/// A winch that pulls a tendon in and lets it out.
-///
-/// With the length `ℓ` of the tendon in the arm, `ℓ₀` that in the stress-free arm, the length `b` outside of it, and the displacement `z`
-/// of the winch, positive where it lets out, the tendon would have the length `a = ℓ₀ + b + z` without tension. Its tension stretches it:
-///
-/// ```text
-/// ℓ + b = a (1 + C T),   T ≥ 0        T = <ℓ - ℓ₀ - z>₊ / (C a)
-/// ```
-///
-/// (Till et al. 2019, ContinuumRobotExamples, 02_Dynamics). The potential is that of a spring, `½ <ℓ - ℓ₀ - z>₊² / (C a)`, and a tendon
-/// that is longer than its way is slack.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Winch {
-    /// `C`, strain of the tendon per tension, 1/N.
-    pub compliance: f64,
-    /// `b`, m.
-    pub outside: f64,
-}
-
-/// The effort of an actuator as a function of its input and its coordinate, with derivatives.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct EffortLaw {
-    /// `u`
-    pub effort: f64,
-    /// `∂u/∂y`, not positive.
-    pub along_coordinate: f64,
-    /// `∂u/∂z` along the input `z`.
-    pub along_input: f64,
-    /// `∂²u/∂y∂z`
-    pub mixed: f64,
-    /// `∂²u/∂z²`
-    pub bend: f64,
-}
-
-impl Winch {
-    /// Returns the length of the tendon without tension, m, for a displacement and the coordinate `-ℓ₀` of the stress-free arm.
-    fn unstretched(&self, displacement: f64, at_rest: f64) -> f64 {
-        self.outside - at_rest + displacement
-    }
-
-    /// Returns the tension at a displacement (m) and a coordinate `y = -ℓ` (m), with `-ℓ₀` in the stress-free arm: zero if it is slack.
-    #[must_use]
-    pub fn law(&self, displacement: f64, coordinate: f64, at_rest: f64) -> EffortLaw {
-        if !(at_rest - coordinate - displacement > 0.0) {
-            return EffortLaw::default();
-        }
-        self.law_of_a_spring(displacement, coordinate, at_rest)
-    }
-
-    /// Returns [`Self::law`] of a tendon that pushes where it is too long: the smooth continuation of that of a taut one.
-    fn law_of_a_spring(&self, displacement: f64, coordinate: f64, at_rest: f64) -> EffortLaw {
-        let length = self.unstretched(displacement, at_rest);
-        let stretched = self.outside - coordinate;
-        let beyond = at_rest - coordinate - displacement;
-        let stiffness = 1.0 / (self.compliance * length);
-        let ratio = stretched / length;
-        EffortLaw {
-            effort: beyond * stiffness,
-            along_coordinate: -stiffness,
-            along_input: -ratio * stiffness,
-            mixed: stiffness / length,
-            bend: 2.0 * ratio * stiffness / length,
-        }
-    }
-
-    /// Returns by how much a tendon is too long for a tension `T` (N), m: `(ℓ₀ + b + z)(1 + C T) - (ℓ + b)`, not positive where its tension
-    /// is at least `T`.
-    fn too_long(&self, tension: f64, displacement: f64, coordinate: f64, at_rest: f64) -> f64 {
-        let stretch = self.compliance * tension * self.unstretched(displacement, at_rest);
-        coordinate + displacement - at_rest + stretch
-    }
-
-    /// Returns the displacement at which a tendon with a tension (N) and a coordinate is as long as it is, m: `(ℓ + b)/(1 + C T) - ℓ₀ - b`.
-    #[must_use]
-    pub fn displacement(&self, tension: f64, coordinate: f64, at_rest: f64) -> f64 {
-        // Without the cancellation of two lengths.
-        let stretch = self.compliance * tension;
-        (at_rest - coordinate - stretch * self.unstretched(0.0, at_rest)) / (1.0 + stretch)
-    }
-}
 
 /// An actuator on the strains of the elements along its [`Route`].
 #[derive(Clone, Debug, PartialEq)]
@@ -466,7 +276,7 @@ pub struct EffortState {
 /// the potentials of its nodes, and the contacts of its elements.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RodActuators {
-    drives: Vec<Drive>,
+    pub(super) drives: Vec<Drive>,
     /// Those on strains, of which efforts and winches stand in `drives` too.
     strains: Vec<StrainActuator>,
     functions: Vec<PlacedFunction>,
@@ -480,7 +290,7 @@ pub struct RodActuators {
     /// Number of the actuators and of the lines of these tendons.
     pub(super) n_efforts: usize,
     /// Coordinates of the stress-free shape.
-    at_rest: Vec<f64>,
+    pub(super) at_rest: Vec<f64>,
     /// Tells whether tendons on winches push where they are too long.
     push: bool,
 }
@@ -920,7 +730,7 @@ impl RodActuators {
     }
 
     /// Replaces the given inputs by constant ones.
-    fn give(&mut self, inputs: &[f64]) {
+    pub(super) fn give(&mut self, inputs: &[f64]) {
         let driven = self.drives.iter_mut().zip(inputs);
         for (drive, input) in driven.filter(|(drive, _)| !drive.is_learned) {
             drive.effort = vec![(0.0, *input)];
@@ -929,333 +739,14 @@ impl RodActuators {
 }
 
 /// The place of a point's coordinate among those of the actuators.
-fn of_actuator(point: &PlacedPoint) -> usize {
+pub(super) fn of_actuator(point: &PlacedPoint) -> usize {
     point.actuator
 }
 
 /// Returns a strain times the length of the element.
-fn stretched(strain: &ElementStrain, length: f64) -> ([Vec3<Scalar>; 2], Vec3<Scalar>) {
+pub(super) fn stretched(strain: &ElementStrain, length: f64) -> ([Vec3<Scalar>; 2], Vec3<Scalar>) {
     (
         strain.linear.map(|v| Vec3::splat(Scalar, &(v * length))),
         Vec3::splat(Scalar, &(strain.curvature * length)),
     )
-}
-
-impl Rod {
-    /// Returns the rod with constant given inputs of its actuators: efforts, of winches displacements.
-    #[must_use]
-    pub fn with_inputs(&self, inputs: &[f64]) -> Self {
-        let mut out = self.clone();
-        out.actuators.give(inputs);
-        out
-    }
-
-    /// Returns the stress that the actuators with the given efforts have in element `q` at a strain: `-Σ u ∂y/∂(v, κ)` per length. `None`
-    /// if none passes the element.
-    #[must_use]
-    pub fn active_stress(
-        &self,
-        q: usize,
-        strain: &ElementStrain,
-        efforts: &[f64],
-    ) -> Option<IntervalStress> {
-        self.active_stress_under(q, strain, &|line| efforts[line])
-    }
-
-    /// Returns [`Self::active_stress`] where `effort` gives the effort of a line.
-    pub(crate) fn active_stress_under(
-        &self,
-        q: usize,
-        strain: &ElementStrain,
-        effort: &dyn Fn(usize) -> f64,
-    ) -> Option<IntervalStress> {
-        let points = self.actuators.on(q);
-        if points.is_empty() {
-            return None;
-        }
-        let length = self.elements[q].length;
-        let (linear, psi) = stretched(strain, length);
-        let mut out = IntervalStress {
-            linear: [Vector3::zeros(); 2],
-            angular: Vector3::zeros(),
-        };
-        for point in points {
-            let at = point.in_element(Scalar, length);
-            // Stresses at the ends count half under the trapezoidal rule.
-            let (slopes, ends) = match self.strain_rule {
-                StrainRule::Helical => (at.slopes::<1>(&point.density, linear, psi), 1.0),
-                StrainRule::Trapezoidal => (at.slopes::<2>(&point.density, linear, psi), 2.0),
-            };
-            let effort = effort(point.line);
-            if effort == 0.0 {
-                continue;
-            }
-            for (out, n) in out.linear.iter_mut().zip(slopes.linear) {
-                *out -= n.vector() * (ends * effort);
-            }
-            out.angular -= slopes.angular.vector() * effort;
-        }
-        Some(out)
-    }
-
-    /// Returns the derivative of [`Self::active_stress`], times the weights of the ends and the length, along `(v_a, v_b, κ)`: minus the
-    /// second derivative of `Σ u y`.
-    fn active_tangent(
-        &self,
-        q: usize,
-        strain: &ElementStrain,
-        effort: &dyn Fn(usize) -> f64,
-    ) -> SMatrix<f64, 9, 9> {
-        let length = self.elements[q].length;
-        let (linear, psi) = stretched(strain, length);
-        let (mut sum, mut stress) = (ActiveTangent::zero(Scalar), Stress::zero(Scalar));
-        for point in self.actuators.on(q) {
-            let at: ActivePoint<Scalar> = point.in_element(Scalar, length);
-            let factor = Lanes::splat(Scalar, -effort(point.line));
-            let (density, strain) = (&point.density, (linear, psi));
-            match self.strain_rule {
-                StrainRule::Helical => {
-                    at.add_derivatives::<1>(density, strain, factor, &mut stress, &mut sum);
-                }
-                StrainRule::Trapezoidal => {
-                    at.add_derivatives::<2>(density, strain, factor, &mut stress, &mut sum);
-                }
-            }
-        }
-        let mut out = SMatrix::<f64, 9, 9>::zeros();
-        let mut put = |i: usize, j: usize, block: nalgebra::Matrix3<f64>| {
-            let mut part = out.fixed_view_mut::<3, 3>(3 * i, 3 * j);
-            part.copy_from(&(block * (length * length)));
-        };
-        for end in 0..2 {
-            put(end, end, sum.linear[end].matrix());
-            put(end, 2, sum.mixed[end].matrix());
-            put(2, end, sum.mixed[end].transpose().matrix());
-        }
-        put(2, 2, sum.angular.matrix());
-        out
-    }
-
-    /// Returns the gradient of `-Σ u y` of the actuators in element `q`; `None` if none passes it.
-    #[must_use]
-    pub fn active_gradient(
-        &self,
-        q: usize,
-        pose: &ElementPose,
-        efforts: &[f64],
-    ) -> Option<ElementGradient> {
-        let element = &self.elements[q];
-        let strain = self.strain_rule.strain(element.length, pose);
-        let stress = self.active_stress(q, &strain, efforts)?;
-        Some(element.gradient_under(self.strain_rule, pose, &stress))
-    }
-
-    /// Returns the derivative of [`Self::active_gradient`]; `None` if no actuator passes the element.
-    #[must_use]
-    pub fn active_stiffness(
-        &self,
-        q: usize,
-        pose: &ElementPose,
-        efforts: &[f64],
-    ) -> Option<ElementStiffness> {
-        let (element, rule) = (&self.elements[q], self.strain_rule);
-        let (strain, b) = rule.strain_derivative(element.length, pose);
-        let stress = self.active_stress(q, &strain, efforts)?;
-        let bent = element.stiffness_under(rule, pose, &stress, 0.0);
-        let tangent = self.active_tangent(q, &strain, &|line| efforts[line]);
-        Some(bent + b.transpose() * tangent * b)
-    }
-
-    /// Returns the derivatives of the pulls of the stress at the mean strain of an interval on the poses at its two ends: of that at the
-    /// start along the pose there and along the pose at the end, and of that at the end along the pose there. `None` if no actuator
-    /// passes the element.
-    pub fn interval_active_stiffness(
-        &self,
-        q: usize,
-        poses: &[ElementPose; 2],
-        effort: &dyn Fn(usize) -> f64,
-    ) -> Option<[ElementStiffness; 3]> {
-        let (element, rule) = (&self.elements[q], self.strain_rule);
-        let [(start, b), (end, b_end)] =
-            (poses.each_ref()).map(|pose| rule.strain_derivative(element.length, pose));
-        let mean = start.mean(&end);
-        let stress = self.active_stress_under(q, &mean, effort)?;
-        let bent = |end: usize| element.stiffness_under(rule, &poses[end], &stress, 0.0);
-        // The weight of a strain in the mean is one half.
-        let tangent = self.active_tangent(q, &mean, effort) * 0.5;
-        Some([
-            bent(0) + b.transpose() * tangent * b,
-            b.transpose() * tangent * b_end,
-            bent(1) + b_end.transpose() * tangent * b_end,
-        ])
-    }
-
-    /// Returns the largest efforts of the actuators at any time. Of a winch it is the tension that the arm at rest puts up against the
-    /// farthest displacement.
-    #[must_use]
-    pub fn largest_efforts(&self) -> Vec<f64> {
-        (self.actuators.iter().enumerate())
-            .map(|(i, own)| {
-                let most = own.largest_input();
-                match self.winch_flexibility(i, -most) {
-                    Some(flexibility) => most / flexibility,
-                    None => most,
-                }
-            })
-            .collect()
-    }
-
-    /// Returns the displacement of a winch per tension in the arm at rest, m/N: that of the tendon, pulled in to a `displacement`, and that
-    /// of the arm under a unit tension, `∫ (n·C₁⁻¹n + m·C₂⁻¹m) ds`. `None` for another actuator.
-    #[must_use]
-    pub fn winch_flexibility(&self, actuator: usize, displacement: f64) -> Option<f64> {
-        let winch = self.actuators.drives[actuator].winch?;
-        let unit = self.actuators.unit_effort(actuator);
-        let of_arm: f64 = (self.elements.iter().enumerate())
-            .filter_map(|(q, element)| {
-                let stress = self.active_stress(q, &element.rest, &unit)?;
-                let [n, m] = [&stress.linear[0], &stress.angular];
-                let shear = n.dot(&n.component_div(&element.linear_stiffness));
-                let bend = m.dot(&m.component_div(&element.angular_stiffness));
-                Some(element.length * (shear + bend))
-            })
-            .sum();
-        let length = winch.unstretched(displacement, self.actuators.at_rest[actuator]);
-        Some(winch.compliance * length + of_arm)
-    }
-
-    /// Returns the coordinates `y` of the actuators in a configuration, each in the unit of work over that of its effort.
-    #[must_use]
-    pub fn actuator_coordinates(
-        &self,
-        positions: &[Vector3<f64>],
-        rotations: &[nalgebra::Matrix3<f64>],
-    ) -> Vec<f64> {
-        let mut out = vec![0.0; self.actuators.len()];
-        self.write_actuator_coordinates((positions, rotations), &mut out);
-        out
-    }
-
-    fn write_actuator_coordinates(&self, (positions, rotations): Poses, out: &mut [f64]) {
-        out.fill(0.0);
-        let strain = |q: usize| {
-            let pose = Self::element_pose(q, positions, rotations);
-            let length = self.elements[q].length;
-            self.strain_rule.strain(length, &pose)
-        };
-        let elements = (self.strain_rule, &self.elements[..]);
-        (self.actuators).add_strain_coordinates(elements, &strain, &of_actuator, out);
-        for own in self.actuators.functions() {
-            if let Some(actuator) = own.actuator {
-                let at = own.pose(positions, rotations);
-                out[actuator] += own.weight * own.function.function().value(&at);
-            }
-        }
-    }
-
-    /// Writes what efforts depend on in a configuration at rest.
-    pub fn write_effort_state(&self, poses: Poses, out: &mut EffortState) {
-        self.write_actuator_coordinates(poses, &mut out.coordinates);
-        self.write_shares([poses; 2], None, out);
-    }
-
-    /// Returns what efforts depend on in a configuration at rest.
-    #[must_use]
-    pub fn effort_state(&self, poses: Poses) -> EffortState {
-        let mut out = self.actuators.effort_state();
-        self.write_effort_state(poses, &mut out);
-        out
-    }
-
-    /// Writes what efforts depend on over an interval of the time `time`, s: the coordinates of the actuators on strains at the mean strains
-    /// (those on poses have none), and the shares of tensions.
-    pub fn write_interval_effort_state(&self, ends: [Poses; 2], time: f64, out: &mut EffortState) {
-        out.coordinates.fill(0.0);
-        let strain = |q: usize| {
-            let length = self.elements[q].length;
-            let [start, end] = ends.map(|(x, r)| {
-                let pose = Self::element_pose(q, x, r);
-                self.strain_rule.strain(length, &pose)
-            });
-            start.mean(&end)
-        };
-        let elements = (self.strain_rule, &self.elements[..]);
-        let coordinates = &mut out.coordinates;
-        (self.actuators).add_strain_coordinates(elements, &strain, &of_actuator, coordinates);
-        self.write_shares(ends, Some(time), out);
-    }
-
-    /// Writes what efforts depend on in a set of pulls (`integrator::sensitivity::EffortPulls`): at a time node, or under the implicit scheme
-    /// over an interval of the time `time`, s.
-    pub fn write_effort_state_of_set(
-        &self,
-        trajectory: &Trajectory,
-        (set, time): (usize, f64),
-        out: &mut EffortState,
-    ) {
-        match self.scheme {
-            TimeScheme::Explicit => self.write_effort_state(trajectory.poses_at(set), out),
-            TimeScheme::Implicit => {
-                let ends = [set, set + 1].map(|k| trajectory.poses_at(k));
-                self.write_interval_effort_state(ends, time, out);
-            }
-        }
-    }
-
-    /// Returns the efforts of all lines in a configuration at rest for the inputs of the actuators, which are efforts already but for those of
-    /// winches and of tendons with friction.
-    #[must_use]
-    pub fn efforts_at(
-        &self,
-        inputs: Vec<f64>,
-        positions: &[Vector3<f64>],
-        rotations: &[nalgebra::Matrix3<f64>],
-    ) -> Vec<f64> {
-        if !self.actuators.follow_shape() {
-            return inputs;
-        }
-        let state = self.effort_state((positions, rotations));
-        let mut out = vec![0.0; self.actuators.n_efforts()];
-        self.actuators.write_lines(&inputs, &state, &mut out);
-        out
-    }
-
-    /// Returns the efforts of all actuators in a configuration at rest for their inputs: of tendons with friction the tensions where they leave
-    /// their motors.
-    #[must_use]
-    pub fn actuator_efforts(&self, inputs: Vec<f64>, poses: Poses) -> Vec<f64> {
-        let mut out = self.efforts_at(inputs, poses.0, poses.1);
-        out.truncate(self.actuators.len());
-        out
-    }
-
-    /// Replaces the inputs of actuators without friction by the [efforts](Self::efforts_at); `state` is memory.
-    pub fn turn_into_efforts(&self, inputs: &mut [f64], poses: Poses, state: &mut EffortState) {
-        self.write_effort_state(poses, state);
-        for (i, input) in inputs.iter_mut().enumerate() {
-            *input = self.actuators.law(i, *input, state).effort;
-        }
-    }
-
-    /// Returns the potential of the actuators for their inputs, J: `-Σ u y`, and of winches the energy of their tendons, `½ C a T²`.
-    #[must_use]
-    pub fn actuator_energy(
-        &self,
-        positions: &[Vector3<f64>],
-        rotations: &[nalgebra::Matrix3<f64>],
-        inputs: &[f64],
-    ) -> f64 {
-        let coordinates = self.actuator_coordinates(positions, rotations);
-        let own = self.actuators.iter().zip(self.actuators.at_rest());
-        (own.zip(coordinates.iter().zip(inputs)))
-            .map(|((actuator, at_rest), (y, input))| match &actuator.winch {
-                None => -(y * input),
-                Some(winch) => {
-                    let tension = winch.law(*input, *y, *at_rest).effort;
-                    let length = winch.unstretched(*input, *at_rest);
-                    0.5 * winch.compliance * length * tension * tension
-                }
-            })
-            .sum::<f64>()
-    }
 }

@@ -6,8 +6,6 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError, RwLock, RwLockReadGuard};
 
-use pulp::Arch;
-
 use super::along::Along;
 use super::linearize::Memory;
 use super::step::LinearizedStep;

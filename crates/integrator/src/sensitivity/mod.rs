@@ -36,7 +36,6 @@ use std::ops::Range;
 use std::sync::{Mutex, PoisonError, RwLock};
 
 use faer::Mat;
-use pulp::Arch;
 
 use self::along::Along;
 use self::conveyor::{Conveyor, PIECE, Sense, parts_of};

@@ -2,7 +2,6 @@
 //! all deviations of the state, as a filter does. The memory is its owner's, and no sweep after the first asks for more.
 
 use faer::Mat;
-use pulp::Arch;
 
 use super::along::Along;
 use super::conveyor::PIECE;
