@@ -633,6 +633,13 @@ def test_a_rod_of_elastica_takes_a_state():
         elastica.put(rod, sa.State(*(own[::2] for own in plant.state)))
 
 
+def test_a_rest_is_learned_from_a_chain_of_mujoco():
+    """Weights from a few shapes at rest bring a loop nearer to its circle on a chain that bends more easily, and does not stretch."""
+    pytest.importorskip("mujoco")
+    without, with_rest = runpy.run_path(str(EXAMPLES / "learned_rest.py"))["main"](1.5, 8)
+    assert with_rest < 0.7 * without
+
+
 def test_a_chain_of_mujoco_has_states_and_takes_wrenches():
     """Velocities are differences of poses along the motion, and the power of forces in the chain's coordinates is that of wrenches on nodes."""
     mujoco = pytest.importorskip("mujoco")
