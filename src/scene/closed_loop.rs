@@ -419,7 +419,7 @@ impl Scene {
             }
         }
         if let Some(payload) = &keys.payload {
-            plant.payload = Some(payload.of_arm());
+            plant.payload = Some(*payload);
         }
         let mesh = self.mesh();
         plant
@@ -450,11 +450,8 @@ impl Scene {
     }
 
     fn actuator_dynamics(&self) -> ActuatorDynamics {
-        let own = self
-            .plant
-            .as_ref()
-            .and_then(|plant| plant.actuator.as_ref());
-        own.map_or_else(ActuatorDynamics::default, model::PlantActuator::dynamics)
+        let own = self.plant.as_ref().and_then(|plant| plant.actuator);
+        own.unwrap_or_default()
     }
 
     fn resolved_plant(&self, plant: &Arm, discretization: &Discretization) -> Plant {
@@ -471,7 +468,7 @@ impl Scene {
     /// model.
     fn plant_efforts(&self, n_poses: usize) -> Vec<EffortDynamics> {
         let keys = self.plant.clone().unwrap_or_default();
-        let of_all = keys.actuator.as_ref().map_or(0.0, |own| own.lag_s.get());
+        let of_all = keys.actuator.as_ref().map_or(0.0, |own| own.lag);
         let on_poses = std::iter::repeat_n(None, n_poses);
         let lags = self.lags().into_iter().chain(on_poses);
         let mut out: Vec<EffortDynamics> = lags

@@ -306,10 +306,7 @@ impl Scene {
             resolved.solver = Some(solver.clone());
             resolved
         };
-        let feedback = self
-            .control
-            .as_ref()
-            .and_then(|control| control.feedback.as_ref());
+        let feedback = self.control.as_ref().and_then(|control| control.feedback);
         Ok(OptimalControl {
             arm,
             task,
@@ -333,11 +330,7 @@ impl Scene {
                 },
                 ..Search::default()
             },
-            feedback: feedback.map(|feedback| FeedbackWeights {
-                state: feedback.state.get(),
-                input: feedback.input.get(),
-                tolerance: feedback.tolerance.get(),
-            }),
+            feedback,
             diagnostics: (self.output.as_ref()).is_some_and(|output| output.diagnostics),
             resolved,
         })
@@ -554,9 +547,7 @@ impl Scene {
         let mesh = self.mesh();
         Ok(Task {
             horizon,
-            free_duration: task
-                .and_then(|task| task.free_duration)
-                .map(model::FreeDuration::of_task),
+            free_duration: task.and_then(|task| task.free_duration),
             start: self.start(),
             targets: task.map_or_else(Vec::new, |task| task.targets(&mesh)),
             limits: self.limits(),

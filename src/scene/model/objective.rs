@@ -171,7 +171,7 @@ impl Keys<'_> {
             self.check_path(&section, track)?;
         }
         let free = scene.task.as_ref().and_then(|task| task.free_duration);
-        let has_price = free.is_some_and(|free| free.price.get() > 0.0);
+        let has_price = free.is_some_and(|free| free.price > 0.0);
         if objective.effort.get() == 0.0 && objective.rate.get() == 0.0 && !has_price {
             let message =
                 "both this and objective.rate are 0, so that there is nothing to make small";

@@ -9,10 +9,12 @@ use super::super::keys::{Checked, Excludes, Given, Keys, Needs, given};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::geometry::wxyz;
 use super::{EndKind, LoadNode, Scene};
-use crate::control::{self, Enforcement, Goal};
+use crate::control::{Enforcement, Goal};
 use crate::mechanics::Mesh;
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::task::{self, Hardness, Problem, Rest, Staying, Target, Tolerances};
+
+pub use crate::control::FreeDuration;
 
 /// Target of the tip: a position, an orientation or a direction, a velocity, or several of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -119,23 +121,6 @@ impl From<AtRest> for AtRestKey {
             AtRest::Passing => Self::Flag(false),
         }
     }
-}
-
-/// Free final time. Blocks of the control, waypoints and samples scale with the duration; loads and paths to follow
-/// keep to the clock.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct FreeDuration {
-    /// Shortest duration in s, positive.
-    pub shortest_s: Positive<values::Duration>,
-    /// Longest duration in s, not below `shortest_s`. The time step is chosen for this one.
-    pub longest_s: Positive<values::Duration>,
-    /// Cost of a second in 1/s, not negative, default 1: as much as a control of the size sqrt(2 price/effort) costs
-    /// that is held for a second, in units of `objective.force_scale_n` or `moment_scale_n_m`. With `objective.effort =
-    /// 0` and `rate = 0` only time counts, whatever its price: this is minimum time, for which the controls need
-    /// bounds.
-    #[serde(default = "NonNegative::<values::PriceOfTime>::one")]
-    pub price: NonNegative<values::PriceOfTime>,
 }
 
 /// A waypoint: a position, an orientation or a direction, or both.
@@ -274,7 +259,7 @@ impl Keys<'_> {
 
     fn check_free_duration(&self, free: &FreeDuration, start: f64) -> Checked {
         let key = |name: &str| format!("task.free_duration.{name}");
-        let (shortest, longest) = (free.shortest_s.get(), free.longest_s.get());
+        let (shortest, longest) = (free.shortest, free.longest);
         if longest < shortest {
             let message = format!("{} s is below shortest_s", digits(longest));
             return Err(self.source.error_at(&key("longest_s"), message, None));
@@ -572,7 +557,7 @@ pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Ve
         direction: goal.direction.map(Into::into),
         velocity_m_s: goal.velocity.map(Into::into),
         at_s: Some(known(problem.task.horizon)),
-        free_duration: problem.task.free_duration.map(FreeDuration::describing),
+        free_duration: problem.task.free_duration,
         at_rest: match goal.rest {
             Rest::Passing => AtRest::Passing,
             Rest::Instant => AtRest::Tip,
@@ -592,23 +577,3 @@ pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Ve
 
 /// Largest stretch of a clamped rod on its way to a target; rods do not model larger strains.
 pub const LARGEST_STRETCH: f64 = 1.3;
-
-impl FreeDuration {
-    /// The free final time of a task.
-    pub(in crate::scene) fn of_task(self) -> control::FreeDuration {
-        control::FreeDuration {
-            shortest: self.shortest_s.get(),
-            longest: self.longest_s.get(),
-            price: self.price.get(),
-        }
-    }
-
-    /// The keys of a free final time.
-    fn describing(free: control::FreeDuration) -> Self {
-        Self {
-            shortest_s: known(free.shortest),
-            longest_s: known(free.longest),
-            price: known(free.price),
-        }
-    }
-}

@@ -322,12 +322,9 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
             2.0 / rod.viscous_damping
         ));
     }
-    let profiles = (scene.load.iter().map(|load| &load.profile))
+    let mut profiles = (scene.load.iter().map(|load| &load.profile))
         .chain(scene.distributed_load.iter().map(|load| &load.profile));
-    if profiles
-        .flatten()
-        .any(|profile| profile.last().is_some_and(|last| last[0] < 0.0))
-    {
+    if profiles.any(|profile| profile.last().is_some_and(|last| last.0 < 0.0)) {
         out.push("load.profile: a load ends before t = 0 and never acts".into());
     }
     out

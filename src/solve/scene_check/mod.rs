@@ -120,10 +120,7 @@ pub(crate) fn check_scene(
         optimal_control: run.size,
         output: run.output,
         memory_bytes: run.memory.total() as u64,
-        payload_kg: scene
-            .payload
-            .as_ref()
-            .map_or(0.0, |payload| payload.mass_kg.get()),
+        payload_kg: scene.payload.as_ref().map_or(0.0, |payload| payload.mass),
         material: material(scene),
         at_rest,
         actuators,
