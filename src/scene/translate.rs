@@ -5,9 +5,7 @@ use std::time::{Duration, Instant};
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::SceneError;
-use super::model::{
-    self, AtRest, Objective, Scene, TimeStep, end_condition, integrator, rotary_inertia,
-};
+use super::model::{self, Objective, Scene, TimeStep, end_condition, integrator, rotary_inertia};
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, digits, known};
@@ -270,42 +268,28 @@ impl Scene {
     ) -> Result<OptimalControl, SceneError> {
         let task = self.posed_task(source)?;
         let solver = self.solver.clone().unwrap_or_default();
-        let Problem {
-            arm,
-            task,
-            discretization,
-            discrete: problem,
-        } = task
+        let posed = task
             .discretize_until(&self.arm(source)?, &self.discretization(), stop)
             .map_err(|error| self.discretize_error(source, error))?;
-        if solver.qp == QpRoute::Sparse && problem.n_states().is_none() {
+        if solver.qp == QpRoute::Sparse && posed.discrete.n_states().is_none() {
             return Err(source.error_at(
                 "solver.qp",
                 "\"sparse\" is for explicit steps of the standard model without internal damping",
                 Some("give \"condensed\"".into()),
             ));
         }
-        let resolved = {
-            let mut resolved = self.resolved(&arm, &discretization);
-            if let Some(definition) = &mut resolved.task {
-                definition.at_s = Some(known(task.horizon));
-                definition.take_weights(&problem.goals);
-                if let (Some(stay), Rest::Staying(_)) = (&problem.stay, definition.rest()) {
-                    definition.stays_s = Some(known(stay.seconds));
-                    definition.stays_m = Some(known(stay.distance));
-                }
-                let stops = definition.at_rest == AtRest::Tip;
-                if definition.hard && (stops || definition.velocity_m_s.is_some()) {
-                    let tolerances = definition.tolerances();
-                    let [speed, spin] = tolerances.rest(arm.length, task.horizon);
-                    definition.tolerance_m_s = Some(known(speed));
-                    definition.tolerance_rad_s = stops.then(|| known(spin));
-                }
-            }
-            resolved.objective = Some(self.resolved_objective(&problem));
-            resolved.solver = Some(solver.clone());
-            resolved
+        let resolved = Scene {
+            task: (self.task.clone()).map(|task| task.resolved(&posed)),
+            objective: Some(self.resolved_objective(&posed.discrete)),
+            solver: Some(solver.clone()),
+            ..self.resolved(&posed.arm, &posed.discretization)
         };
+        let Problem {
+            arm,
+            task,
+            discretization,
+            discrete: problem,
+        } = posed;
         let feedback = self.control.as_ref().and_then(|control| control.feedback);
         Ok(OptimalControl {
             arm,
@@ -595,32 +579,29 @@ impl Scene {
         for (own, contact) in resolved.contact.iter_mut().zip(&arm.contacts) {
             own.force_n = Some(known(contact.force));
         }
-        if let Some(step) = discretization.step {
-            resolved.time.step_s = TimeStep::Seconds(step);
-        }
-        if let Some(scheme) = discretization.scheme {
-            resolved.time.integrator = integrator(scheme);
-        }
-        if let Some(inertia) = discretization.rotary_inertia {
-            resolved.rod.rotary_inertia = rotary_inertia(inertia);
-        }
+        resolved.take_steps(discretization);
         resolved
+    }
+
+    /// Writes out time step, integrator and rotary inertia of a discretization, as far as they are chosen.
+    pub(super) fn take_steps(&mut self, chosen: &Discretization) {
+        if let Some(step) = chosen.step {
+            self.time.step_s = TimeStep::Seconds(step);
+        }
+        if let Some(scheme) = chosen.scheme {
+            self.time.integrator = integrator(scheme);
+        }
+        if let Some(inertia) = chosen.rotary_inertia {
+            self.rod.rotary_inertia = rotary_inertia(inertia);
+        }
     }
 }
 
 impl Scene {
-    /// Returns the objective with the weights that were chosen for a problem, and the scales of the actuator on its tip.
+    /// Returns the objective as it was [resolved](Objective::resolved) for a problem.
     pub(super) fn resolved_objective(&self, problem: &OptimalControlProblem) -> Objective {
-        let tip = problem.wrench_actuators().into_iter().next();
-        let mut objective = self.objective.clone().unwrap_or_default();
-        for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
-            track.take_weights(tracking);
-        }
-        Objective {
-            force_scale_n: tip.map(|tip| known(tip.force.scale)),
-            moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
-            ..objective
-        }
+        let objective = self.objective.clone().unwrap_or_default();
+        objective.resolved(problem)
     }
 
     /// Returns the duration and tolerance of the stay at the target; `None` if the arm need not stay.
