@@ -6,7 +6,6 @@ use std::sync::Arc;
 use super::error::SceneError;
 use super::model::{
     self, Computing as ComputingKey, EstimatorKind, Mpc, Plant, Scene, Sensor as SensorKeys,
-    TimeStep,
 };
 use super::section::profile;
 use super::source::SceneSource;
@@ -192,7 +191,7 @@ impl Scene {
             (mpc.counted_from_s).map_or_else(|| begins.fold(period, f64::max), Number::get);
 
         let mut resolved = self.resolved(&arm, &discretization);
-        resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
+        resolved.time.step_s = asked.step;
         resolved.objective = Some(self.resolved_objective(&posed.discrete));
         resolved.mpc = Some(Mpc {
             horizon_s: Some(known(horizon)),

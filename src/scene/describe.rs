@@ -3,9 +3,9 @@
 use super::error::DescribeError;
 use super::model::geometry::wxyz;
 use super::model::{
-    Base, Contact, EndKind, Initial, Limit, Objective, Obstacle, Reference, Rod, RotaryInertia,
-    Scene, Solver, Time, TimeScheme, TimeStep, Tip, describe_hardware, describe_section,
-    described_control, described_end, described_targets, described_task, describing_poses,
+    Base, Contact, EndKind, Initial, Limit, Objective, Obstacle, Reference, Rod, Scene, Solver,
+    Time, Tip, describe_hardware, describe_section, described_control, described_end,
+    described_targets, described_task, describing_poses,
 };
 use super::values::known;
 use crate::sqp::SqpSettings;
@@ -31,8 +31,8 @@ impl Scene {
         let (via, goal) = described_targets(task, mesh)?;
         let time = Time {
             end_s: known(task.horizon),
-            step_s: TimeStep::Auto,
-            integrator: TimeScheme::Auto,
+            step_s: None,
+            integrator: None,
         };
         let mut out = Scene {
             base: described_base(arm)?,
@@ -97,7 +97,7 @@ fn described_rod(problem: &Problem) -> Result<Rod, DescribeError> {
         accuracy: None,
         strain: chosen.strain_rule,
         model: arm.model,
-        rotary_inertia: RotaryInertia::Auto,
+        rotary_inertia: None,
         display_radius_m: None,
         material: None,
         section: None,

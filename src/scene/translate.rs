@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::SceneError;
-use super::model::{self, Objective, Scene, TimeStep, end_condition, integrator, rotary_inertia};
+use super::model::{self, Objective, Scene, end_condition};
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, digits, known};
-use crate::control::{FeedbackWeights, Guess, OptimalControlProblem, Search};
+use crate::control::{FeedbackWeights, OptimalControlProblem, Search};
 use crate::mechanics::rotation::{exp, from_quaternion};
 use crate::mechanics::rows;
 use crate::mechanics::{Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
@@ -58,7 +58,7 @@ impl Simulation {
         self.steps_per_row *= by;
         self.divided *= by;
         self.discretization.step = Some(self.grid.step);
-        self.resolved.time.step_s = TimeStep::Seconds(self.grid.step);
+        self.resolved.time.step_s = Some(self.grid.step);
         let between_rows = self.steps_per_row as f64 * self.grid.step;
         let output = self.resolved.output.get_or_insert_default();
         output.rate_hz.get_or_insert(known(1.0 / between_rows));
@@ -191,7 +191,7 @@ impl Scene {
         let output = self.output.clone().unwrap_or_default();
         let rate_hz = output.rate_hz.map(Number::get);
         let (mut grid, rod) = (motion.grid, motion.rod);
-        if let (Some(rate), TimeStep::Auto) = (rate_hz, self.time.step_s) {
+        if let (Some(rate), None) = (rate_hz, self.time.step_s) {
             grid = row_grid(source, grid, rate)?;
         }
         let discretization = Discretization {
@@ -306,12 +306,7 @@ impl Scene {
             },
             search: Search {
                 continuation: solver.continuation,
-                guess: match solver.guess {
-                    model::Guess::Auto => None,
-                    model::Guess::Static => Some(Guess::StaticPath),
-                    model::Guess::Slow => Some(Guess::Slow),
-                    model::Guess::Rest => Some(Guess::Rest),
-                },
+                guess: solver.guess,
                 ..Search::default()
             },
             feedback,
@@ -436,25 +431,12 @@ impl Scene {
             },
             multiple: 1,
             strain_rule: self.rod.strain,
-            scheme: match self.time.integrator {
-                // Implicit steps are not local enough for the sparse route.
-                model::TimeScheme::Auto if is_sparse => Some(TimeScheme::Explicit),
-                model::TimeScheme::Auto => None,
-                model::TimeScheme::Explicit => Some(TimeScheme::Explicit),
-                model::TimeScheme::Implicit => Some(TimeScheme::Implicit),
-            },
-            rotary_inertia: match self.rod.rotary_inertia {
-                model::RotaryInertia::Auto if self.rod.has_material() => None,
-                // Whoever gives an inertia means that one.
-                model::RotaryInertia::Auto | model::RotaryInertia::Section => {
-                    Some(RotaryInertia::Section)
-                }
-                model::RotaryInertia::Segment => Some(RotaryInertia::Segment),
-            },
-            step: match self.time.step_s {
-                TimeStep::Auto => None,
-                TimeStep::Seconds(step) => Some(step),
-            },
+            // Implicit steps are not local enough for the sparse route.
+            scheme: (self.time.integrator).or(is_sparse.then_some(TimeScheme::Explicit)),
+            // Whoever gives an inertia means that one.
+            rotary_inertia: (self.rod.rotary_inertia)
+                .or((!self.rod.has_material()).then_some(RotaryInertia::Section)),
+            step: self.time.step_s,
             hold: (self.control.as_ref()).map_or(default.hold, |control| control.hold),
             blocks: (self.control.as_ref()).map_or(default.blocks, |control| control.blocks),
             samples: (self.objective.as_ref())
@@ -478,7 +460,7 @@ impl Scene {
     fn check_step(&self, source: &SceneSource) -> Result<(), SceneError> {
         let end = self.time.end_s.get();
         match self.time.step_s {
-            TimeStep::Seconds(step) if end > 0.0 && step > end => {
+            Some(step) if end > 0.0 && step > end => {
                 let message = format!(
                     "a step of {} s is longer than time.end_s, {} s",
                     digits(step),
@@ -585,15 +567,9 @@ impl Scene {
 
     /// Writes out time step, integrator and rotary inertia of a discretization, as far as they are chosen.
     pub(super) fn take_steps(&mut self, chosen: &Discretization) {
-        if let Some(step) = chosen.step {
-            self.time.step_s = TimeStep::Seconds(step);
-        }
-        if let Some(scheme) = chosen.scheme {
-            self.time.integrator = integrator(scheme);
-        }
-        if let Some(inertia) = chosen.rotary_inertia {
-            self.rod.rotary_inertia = rotary_inertia(inertia);
-        }
+        self.time.step_s = chosen.step.or(self.time.step_s);
+        self.time.integrator = chosen.scheme.or(self.time.integrator);
+        self.rod.rotary_inertia = chosen.rotary_inertia.or(self.rod.rotary_inertia);
     }
 }
 
@@ -614,7 +590,7 @@ impl Scene {
 }
 
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
-    scene.time.step_s = TimeStep::Seconds(grid.step);
+    scene.time.step_s = Some(grid.step);
 }
 
 /// Returns the columns of a rotation: the directors `d1`, `d2`, `d3`.

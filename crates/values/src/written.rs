@@ -46,11 +46,15 @@ impl<W> As<W> {
 #[cfg(feature = "schema")]
 impl<W: schemars::JsonSchema> schemars::JsonSchema for As<W> {
     fn inline_schema() -> bool {
-        true
+        W::inline_schema()
     }
 
     fn schema_name() -> std::borrow::Cow<'static, str> {
         W::schema_name()
+    }
+
+    fn schema_id() -> std::borrow::Cow<'static, str> {
+        W::schema_id()
     }
 
     fn json_schema(generator: &mut schemars::SchemaGenerator) -> schemars::Schema {

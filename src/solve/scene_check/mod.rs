@@ -29,7 +29,7 @@ use crate::output::summary::{
     ActuatorSummary, CheckSummary, MaterialSummary, OutputSize, ProblemSize, RestSummary,
     SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
 };
-use crate::scene::{Scene, SceneError, SceneSource, TimeScheme as TimeSchemeKey};
+use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
 use crate::task::prediction::SolveTime;
 
@@ -127,7 +127,7 @@ pub(crate) fn check_scene(
         static_need,
         solve_cost: solve_cost.filter(|_| closed_loop.is_none()),
         closed_loop,
-        integrator_is_chosen: scene.time.integrator == TimeSchemeKey::Auto,
+        integrator_is_chosen: scene.time.integrator.is_none(),
         warnings: concerns,
     };
     Ok(SceneCheck {
