@@ -2,8 +2,7 @@
 
 use toml::{Table, Value};
 
-use super::model::{COARSEST, Control, EstimatorKind, FINEST, LoadNode, Scene, TimeStep};
-use super::model::{integrator, rotary_inertia};
+use super::model::{COARSEST, Control, EstimatorKind, FINEST, LoadNode, Scene};
 use super::overrides::Override;
 use super::values::{Number, known};
 use super::{SceneError, SceneSource};
@@ -136,15 +135,8 @@ impl Scene {
         for index in out.indices() {
             *index = after.nearest(before.fraction(*index));
         }
-        out.time.step_s = discretization
-            .step
-            .map_or(TimeStep::Auto, TimeStep::Seconds);
-        if let Some(scheme) = discretization.scheme {
-            out.time.integrator = integrator(scheme);
-        }
-        if let Some(inertia) = discretization.rotary_inertia {
-            out.rod.rotary_inertia = rotary_inertia(inertia);
-        }
+        out.time.step_s = None;
+        out.take_steps(discretization);
         let own = self.discretization();
         let is_other = (own.hold, own.blocks) != (discretization.hold, discretization.blocks);
         if self.control.is_none() && self.has_controls() && is_other {

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use super::error::SceneError;
 use super::model::{
     self, Computing as ComputingKey, EstimatorKind, Mpc, Plant, Scene, Sensor as SensorKeys,
-    TimeStep,
 };
 use super::section::profile;
 use super::source::SceneSource;
@@ -192,7 +191,7 @@ impl Scene {
             (mpc.counted_from_s).map_or_else(|| begins.fold(period, f64::max), Number::get);
 
         let mut resolved = self.resolved(&arm, &discretization);
-        resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
+        resolved.time.step_s = asked.step;
         resolved.objective = Some(self.resolved_objective(&posed.discrete));
         resolved.mpc = Some(Mpc {
             horizon_s: Some(known(horizon)),
@@ -419,7 +418,7 @@ impl Scene {
             }
         }
         if let Some(payload) = &keys.payload {
-            plant.payload = Some(payload.of_arm());
+            plant.payload = Some(*payload);
         }
         let mesh = self.mesh();
         plant
@@ -450,11 +449,8 @@ impl Scene {
     }
 
     fn actuator_dynamics(&self) -> ActuatorDynamics {
-        let own = self
-            .plant
-            .as_ref()
-            .and_then(|plant| plant.actuator.as_ref());
-        own.map_or_else(ActuatorDynamics::default, model::PlantActuator::dynamics)
+        let own = self.plant.as_ref().and_then(|plant| plant.actuator);
+        own.unwrap_or_default()
     }
 
     fn resolved_plant(&self, plant: &Arm, discretization: &Discretization) -> Plant {
@@ -471,7 +467,7 @@ impl Scene {
     /// model.
     fn plant_efforts(&self, n_poses: usize) -> Vec<EffortDynamics> {
         let keys = self.plant.clone().unwrap_or_default();
-        let of_all = keys.actuator.as_ref().map_or(0.0, |own| own.lag_s.get());
+        let of_all = keys.actuator.as_ref().map_or(0.0, |own| own.lag);
         let on_poses = std::iter::repeat_n(None, n_poses);
         let lags = self.lags().into_iter().chain(on_poses);
         let mut out: Vec<EffortDynamics> = lags

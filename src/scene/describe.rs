@@ -3,10 +3,9 @@
 use super::error::DescribeError;
 use super::model::geometry::wxyz;
 use super::model::{
-    Base, Contact, EndKind, Initial, Limit, Objective, Obstacle, Reference, Rod, RotaryInertia,
-    Scene, Solver, Time, TimeScheme, TimeStep, Tip, describe_hardware, describe_learned,
-    describe_section, described_control, described_end, described_targets, described_task,
-    describing_poses, integrator, rotary_inertia,
+    Base, Contact, EndKind, Initial, Limit, Objective, Obstacle, Reference, Rod, Scene, Solver,
+    Time, Tip, describe_hardware, describe_learned, describe_section, described_control,
+    described_end, described_targets, described_task, describing_poses,
 };
 use super::values::known;
 use crate::sqp::SqpSettings;
@@ -21,7 +20,6 @@ impl Scene {
     /// tapered display of a uniform arm.
     pub fn describing(problem: &Problem, settings: &SqpSettings) -> Result<Scene, DescribeError> {
         let (arm, task) = (&problem.arm, &problem.task);
-        let chosen = &problem.discretization;
         let mesh = &problem.discrete.rod.mesh;
         let tip = described_tip(arm)?;
         let rod = described_rod(problem)?;
@@ -33,8 +31,8 @@ impl Scene {
         let (via, goal) = described_targets(task, mesh)?;
         let time = Time {
             end_s: known(task.horizon),
-            step_s: chosen.step.map_or(TimeStep::Auto, TimeStep::Seconds),
-            integrator: chosen.scheme.map_or(TimeScheme::Auto, integrator),
+            step_s: None,
+            integrator: None,
         };
         let mut out = Scene {
             base: described_base(arm)?,
@@ -58,6 +56,7 @@ impl Scene {
             }),
             ..Scene::bare(rod, time)
         };
+        out.take_steps(&problem.discretization);
         out.describe_loads(arm, mesh);
         describe_hardware(&arm.actuators, &task.efforts, &mut out).ok_or(DescribeError(
             "its arm has an actuator that no section describes, such as a push rod, or actuators in another order than that of their sections",
@@ -102,7 +101,7 @@ fn described_rod(problem: &Problem) -> Result<Rod, DescribeError> {
         accuracy: None,
         strain: chosen.strain_rule,
         model: arm.model,
-        rotary_inertia: (chosen.rotary_inertia).map_or(RotaryInertia::Auto, rotary_inertia),
+        rotary_inertia: None,
         display_radius_m: None,
         material: None,
         section: None,

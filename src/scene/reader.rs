@@ -123,6 +123,13 @@ impl de::Error for Misfit {
         misfit
     }
 
+    /// Returns the misfit of a table without rows; `expected` says what holds without the table.
+    fn invalid_length(_: usize, expected: &dyn de::Expected) -> Misfit {
+        let mut misfit = Misfit::new("a table without points".to_string());
+        misfit.help = Some(format!("leave it out for {expected}"));
+        misfit
+    }
+
     fn missing_field(field: &'static str) -> Misfit {
         Misfit::new("missing".to_string()).inside(field)
     }

@@ -5,13 +5,11 @@ use std::time::{Duration, Instant};
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::SceneError;
-use super::model::{
-    self, AtRest, Objective, Scene, TimeStep, end_condition, integrator, rotary_inertia,
-};
+use super::model::{self, Objective, Scene, end_condition};
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, digits, known};
-use crate::control::{FeedbackWeights, Guess, OptimalControlProblem, Search};
+use crate::control::{FeedbackWeights, OptimalControlProblem, Search};
 use crate::mechanics::rotation::{exp, from_quaternion};
 use crate::mechanics::rows;
 use crate::mechanics::{Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
@@ -60,7 +58,7 @@ impl Simulation {
         self.steps_per_row *= by;
         self.divided *= by;
         self.discretization.step = Some(self.grid.step);
-        self.resolved.time.step_s = TimeStep::Seconds(self.grid.step);
+        self.resolved.time.step_s = Some(self.grid.step);
         let between_rows = self.steps_per_row as f64 * self.grid.step;
         let output = self.resolved.output.get_or_insert_default();
         output.rate_hz.get_or_insert(known(1.0 / between_rows));
@@ -193,7 +191,7 @@ impl Scene {
         let output = self.output.clone().unwrap_or_default();
         let rate_hz = output.rate_hz.map(Number::get);
         let (mut grid, rod) = (motion.grid, motion.rod);
-        if let (Some(rate), TimeStep::Auto) = (rate_hz, self.time.step_s) {
+        if let (Some(rate), None) = (rate_hz, self.time.step_s) {
             grid = row_grid(source, grid, rate)?;
         }
         let discretization = Discretization {
@@ -270,46 +268,29 @@ impl Scene {
     ) -> Result<OptimalControl, SceneError> {
         let task = self.posed_task(source)?;
         let solver = self.solver.clone().unwrap_or_default();
-        let Problem {
-            arm,
-            task,
-            discretization,
-            discrete: problem,
-        } = task
+        let posed = task
             .discretize_until(&self.arm(source)?, &self.discretization(), stop)
             .map_err(|error| self.discretize_error(source, error))?;
-        if solver.qp == QpRoute::Sparse && problem.n_states().is_none() {
+        if solver.qp == QpRoute::Sparse && posed.discrete.n_states().is_none() {
             return Err(source.error_at(
                 "solver.qp",
                 "\"sparse\" is for explicit steps of the standard model without internal damping",
                 Some("give \"condensed\"".into()),
             ));
         }
-        let resolved = {
-            let mut resolved = self.resolved(&arm, &discretization);
-            if let Some(definition) = &mut resolved.task {
-                definition.at_s = Some(known(task.horizon));
-                definition.take_weights(&problem.goals);
-                if let (Some(stay), Rest::Staying(_)) = (&problem.stay, definition.rest()) {
-                    definition.stays_s = Some(known(stay.seconds));
-                    definition.stays_m = Some(known(stay.distance));
-                }
-                let stops = definition.at_rest == AtRest::Tip;
-                if definition.hard && (stops || definition.velocity_m_s.is_some()) {
-                    let tolerances = definition.tolerances();
-                    let [speed, spin] = tolerances.rest(arm.length, task.horizon);
-                    definition.tolerance_m_s = Some(known(speed));
-                    definition.tolerance_rad_s = stops.then(|| known(spin));
-                }
-            }
-            resolved.objective = Some(self.resolved_objective(&problem));
-            resolved.solver = Some(solver.clone());
-            resolved
+        let resolved = Scene {
+            task: (self.task.clone()).map(|task| task.resolved(&posed)),
+            objective: Some(self.resolved_objective(&posed.discrete)),
+            solver: Some(solver.clone()),
+            ..self.resolved(&posed.arm, &posed.discretization)
         };
-        let feedback = self
-            .control
-            .as_ref()
-            .and_then(|control| control.feedback.as_ref());
+        let Problem {
+            arm,
+            task,
+            discretization,
+            discrete: problem,
+        } = posed;
+        let feedback = self.control.as_ref().and_then(|control| control.feedback);
         Ok(OptimalControl {
             arm,
             task,
@@ -325,19 +306,10 @@ impl Scene {
             },
             search: Search {
                 continuation: solver.continuation,
-                guess: match solver.guess {
-                    model::Guess::Auto => None,
-                    model::Guess::Static => Some(Guess::StaticPath),
-                    model::Guess::Slow => Some(Guess::Slow),
-                    model::Guess::Rest => Some(Guess::Rest),
-                },
+                guess: solver.guess,
                 ..Search::default()
             },
-            feedback: feedback.map(|feedback| FeedbackWeights {
-                state: feedback.state.get(),
-                input: feedback.input.get(),
-                tolerance: feedback.tolerance.get(),
-            }),
+            feedback,
             diagnostics: (self.output.as_ref()).is_some_and(|output| output.diagnostics),
             resolved,
         })
@@ -462,25 +434,12 @@ impl Scene {
             },
             multiple: 1,
             strain_rule: self.rod.strain,
-            scheme: match self.time.integrator {
-                // Implicit steps are not local enough for the sparse route.
-                model::TimeScheme::Auto if is_sparse => Some(TimeScheme::Explicit),
-                model::TimeScheme::Auto => None,
-                model::TimeScheme::Explicit => Some(TimeScheme::Explicit),
-                model::TimeScheme::Implicit => Some(TimeScheme::Implicit),
-            },
-            rotary_inertia: match self.rod.rotary_inertia {
-                model::RotaryInertia::Auto if self.rod.has_material() => None,
-                // Whoever gives an inertia means that one.
-                model::RotaryInertia::Auto | model::RotaryInertia::Section => {
-                    Some(RotaryInertia::Section)
-                }
-                model::RotaryInertia::Segment => Some(RotaryInertia::Segment),
-            },
-            step: match self.time.step_s {
-                TimeStep::Auto => None,
-                TimeStep::Seconds(step) => Some(step),
-            },
+            // Implicit steps are not local enough for the sparse route.
+            scheme: (self.time.integrator).or(is_sparse.then_some(TimeScheme::Explicit)),
+            // Whoever gives an inertia means that one.
+            rotary_inertia: (self.rod.rotary_inertia)
+                .or((!self.rod.has_material()).then_some(RotaryInertia::Section)),
+            step: self.time.step_s,
             hold: (self.control.as_ref()).map_or(default.hold, |control| control.hold),
             blocks: (self.control.as_ref()).map_or(default.blocks, |control| control.blocks),
             samples: (self.objective.as_ref())
@@ -504,7 +463,7 @@ impl Scene {
     fn check_step(&self, source: &SceneSource) -> Result<(), SceneError> {
         let end = self.time.end_s.get();
         match self.time.step_s {
-            TimeStep::Seconds(step) if end > 0.0 && step > end => {
+            Some(step) if end > 0.0 && step > end => {
                 let message = format!(
                     "a step of {} s is longer than time.end_s, {} s",
                     digits(step),
@@ -557,9 +516,7 @@ impl Scene {
         let mesh = self.mesh();
         Ok(Task {
             horizon,
-            free_duration: task
-                .and_then(|task| task.free_duration)
-                .map(model::FreeDuration::of_task),
+            free_duration: task.and_then(|task| task.free_duration),
             start: self.start(),
             targets: task.map_or_else(Vec::new, |task| task.targets(&mesh)),
             limits: self.limits(),
@@ -607,32 +564,23 @@ impl Scene {
         for (own, contact) in resolved.contact.iter_mut().zip(&arm.contacts) {
             own.force_n = Some(known(contact.force));
         }
-        if let Some(step) = discretization.step {
-            resolved.time.step_s = TimeStep::Seconds(step);
-        }
-        if let Some(scheme) = discretization.scheme {
-            resolved.time.integrator = integrator(scheme);
-        }
-        if let Some(inertia) = discretization.rotary_inertia {
-            resolved.rod.rotary_inertia = rotary_inertia(inertia);
-        }
+        resolved.take_steps(discretization);
         resolved
+    }
+
+    /// Writes out time step, integrator and rotary inertia of a discretization, as far as they are chosen.
+    pub(super) fn take_steps(&mut self, chosen: &Discretization) {
+        self.time.step_s = chosen.step.or(self.time.step_s);
+        self.time.integrator = chosen.scheme.or(self.time.integrator);
+        self.rod.rotary_inertia = chosen.rotary_inertia.or(self.rod.rotary_inertia);
     }
 }
 
 impl Scene {
-    /// Returns the objective with the weights that were chosen for a problem, and the scales of the actuator on its tip.
+    /// Returns the objective as it was [resolved](Objective::resolved) for a problem.
     pub(super) fn resolved_objective(&self, problem: &OptimalControlProblem) -> Objective {
-        let tip = problem.wrench_actuators().into_iter().next();
-        let mut objective = self.objective.clone().unwrap_or_default();
-        for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
-            track.take_weights(tracking);
-        }
-        Objective {
-            force_scale_n: tip.map(|tip| known(tip.force.scale)),
-            moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
-            ..objective
-        }
+        let objective = self.objective.clone().unwrap_or_default();
+        objective.resolved(problem)
     }
 
     /// Returns the duration and tolerance of the stay at the target; `None` if the arm need not stay.
@@ -645,7 +593,7 @@ impl Scene {
 }
 
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
-    scene.time.step_s = TimeStep::Seconds(grid.step);
+    scene.time.step_s = Some(grid.step);
 }
 
 /// Returns the columns of a rotation: the directors `d1`, `d2`, `d3`.

@@ -36,17 +36,24 @@ use mechanics::linearization::Motion;
 use mechanics::sensitivity::{InputVisitor, Transition, transition_by};
 use mechanics::{EnergyNorm, State, StepError, Stepper, Trajectory, Wrench};
 use stop::StopSignal;
+use values::{As, NonNegative, Positive, Tolerance, Weight};
 
 pub use self::mismatch::{ModelMismatch, ModelQuantity, TipDeviation};
 
-/// Weights of the regulator.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Weights of the regulator along the solution.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "Feedback"))]
+#[serde(deny_unknown_fields, default)]
 pub struct FeedbackWeights {
-    /// Weight of the energy of a deviation, `2 E/E₀`: of its mean over the horizon and of its value at the end; not negative.
+    /// Weight of the energy of a deviation, twice the energy divided by EI/L, on the way and at the end; not negative, default 1.
+    #[serde(with = "As::<NonNegative<Weight>>")]
     pub state: f64,
-    /// Weight of the squared correction divided by the scale of its channel; positive.
+    /// Weight of the square of a correction divided by its scale; positive, default 1.
+    #[serde(with = "As::<Positive<Weight>>")]
     pub input: f64,
-    /// Scaled residual of a goal at the end of the horizon that counts as 1, positive; a goal within a tolerance uses its own.
+    /// Scaled residual of the task that counts as 1 (divided by the length, or in rad); positive, default 0.01.
+    #[serde(with = "As::<Positive<Tolerance>>")]
     pub tolerance: f64,
 }
 

@@ -22,6 +22,7 @@ use mechanics::linearization::Motion;
 use mechanics::sparse_motion::SparseMotion;
 use mechanics::{ControlSignal, Drive, Efforts, Rod, State, TimeGrid, Wrench};
 use stop::StopSignal;
+use values::{As, Duration, NonNegative, Positive, PriceOfTime};
 
 /// The objective.
 ///
@@ -45,17 +46,23 @@ pub struct Objective {
     pub samples: usize,
 }
 
-/// A free final time: the number of steps stays, the time step changes.
-///
-/// Everything that is given by time nodes (goals, blocks of the control, samples) scales with the duration; times (loads, tracked paths) do
-/// not.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Free final time. Blocks of the control, waypoints and samples scale with the duration; loads and paths to follow
+/// keep to the clock.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
 pub struct FreeDuration {
-    /// Shortest duration, s; positive.
+    /// Shortest duration in s, positive.
+    #[serde(rename = "shortest_s", with = "As::<Positive<Duration>>")]
     pub shortest: f64,
-    /// Longest duration, s; finite, and with a step that the integrator can take.
+    /// Longest duration in s, not below `shortest_s`. The time step is chosen for this one.
+    #[serde(rename = "longest_s", with = "As::<Positive<Duration>>")]
     pub longest: f64,
-    /// Cost of a second, added to the objective: a time penalty beside [`Objective::effort`], minimum time without it.
+    /// Cost of a second in 1/s, not negative, default 1: as much as a control of the size sqrt(2 price/effort) costs
+    /// that is held for a second, in units of `objective.force_scale_n` or `moment_scale_n_m`. With `objective.effort =
+    /// 0` and `rate = 0` only time counts, whatever its price: this is minimum time, for which the controls need
+    /// bounds.
+    #[serde(default = "values::one", with = "As::<NonNegative<PriceOfTime>>")]
     pub price: f64,
 }
 
@@ -72,7 +79,8 @@ pub struct OptimalControlProblem {
     pub radii: Vec<f64>,
     /// Time grid of the horizon; if the duration is free, the grid from which the search starts.
     pub grid: TimeGrid,
-    /// Limits and price of a free duration; `None` fixes the duration to that of the grid.
+    /// Limits and price of a free duration, which changes the time step and not the number of steps; `None` fixes the duration to that of the
+    /// grid.
     pub duration: Option<FreeDuration>,
     /// State at time 0.
     pub initial: State,

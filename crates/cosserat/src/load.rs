@@ -9,6 +9,7 @@
 pub(crate) mod profile;
 
 use nalgebra::{Matrix3, Vector3};
+use values::{As, FiniteNumber, Fraction, Profile};
 
 use super::mesh::Mesh;
 use super::time::TimeNode;
@@ -73,28 +74,34 @@ pub enum LoadFrame {
     Body,
 }
 
-/// A given force and moment per rest length on a part of the rod.
-///
-/// It is lumped like the mass: a node carries the load on its own halves of the elements beside it, also if the loaded part ends within
-/// them.
-#[derive(Clone, Debug, PartialEq)]
+/// A prescribed force and moment per rest length on a section of the arm.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
 pub struct DistributedLoad {
-    /// Start of the loaded part, as a fraction of the rest length from the base.
+    /// Start of the loaded section, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    #[serde(default, with = "As::<Fraction>")]
     pub from: f64,
-    /// End of the loaded part, as such a fraction.
+    /// End of the loaded section, as a fraction, after `from`. Default: 1, the tip.
+    #[serde(default = "values::one", with = "As::<Fraction>")]
     pub to: f64,
-    /// Force per rest length in `frame`, N/m.
+    /// Force in N per m of the arm's rest length. Default: none.
+    #[serde(rename = "force_n_per_m", default, with = "As::<[FiniteNumber; 3]>")]
     pub force: Vector3<f64>,
-    /// Moment per rest length in `frame`, N m/m.
+    /// Moment in N m per m of the arm's rest length. Default: none.
+    #[serde(rename = "moment_n_m_per_m", default, with = "As::<[FiniteNumber; 3]>")]
     pub moment: Vector3<f64>,
-    /// Frame of both.
+    /// Frame in which force and moment are given.
+    #[serde(default)]
     pub frame: LoadFrame,
-    /// Profile, as in [`Load::profile`].
+    /// Factor on force and moment over time, as in `[[load]]`. Absent: always 1.
+    #[serde(default, with = "As::<Option<Profile>>")]
     pub profile: Vec<(f64, f64)>,
 }
 
 impl DistributedLoad {
-    /// Returns the loads on the nodes of a rod of rest length `length`, m.
+    /// Returns the loads on the nodes of a rod of rest length `length`, m. They are lumped like the mass: a node carries the load on its own
+    /// halves of the elements beside it, also if the loaded part ends within them.
     #[must_use]
     pub fn lumped(&self, length: f64, mesh: &Mesh) -> Vec<Load> {
         let last = mesh.n_elements();

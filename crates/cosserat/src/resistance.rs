@@ -9,10 +9,15 @@
 //! (the law of Morison and others, 1950, for a slender cylinder, with the two directions apart as Taylor, 1952, has them). The integrator
 //! gives half of a step's impulse to either end, each with the velocity of the step and the tangent of that end. The half at the start is
 //! solved for, so that a step of any length takes speed away and never turns it around.
+//!
+//! A [`Fluid`] of the density `ρ` has, per rest length of a rod of the radius `r`, `c_n = ρ r C_n` and `c_t = π ρ r C_t`; it lifts by the
+//! weight of the mass `ρ π r²`, and moves along with `C_a` of these masses. Those count in all directions: along its own axis a slender arm
+//! moves less of them.
 
 use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
+use values::{As, Density, Factor, NonNegative, Positive};
 
 use super::mesh::Mesh;
 use super::rod::{Rod, RodError, require};
@@ -28,21 +33,36 @@ pub struct Resistance {
     pub tangential: f64,
 }
 
-/// A fluid at rest around the rod, which is taken for a slender circular cylinder of its radius `r` at every place.
-///
-/// Per rest length it resists by `ρ r (C_n |v_n| v_n + π C_t |v_t| v_t)`, it lifts by the weight of the fluid that the rod displaces,
-/// `ρ π r²`, and it moves along with the mass `C_a ρ π r²` (Morison and others 1950; Taylor 1952). The mass that moves along counts in all
-/// directions: along its own axis a slender arm moves less of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// A fluid at rest around the whole arm, which counts as a slender circular cylinder of its radius r at every place. Per
+/// length it resists by density times r times (C_n times the square of the speed across the axis plus π times C_t times
+/// that of the speed along it), each against its own part of the velocity; under gravity it lifts the arm by the weight
+/// of the fluid in its place.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
 pub struct Fluid {
-    /// `ρ`, kg/m³.
+    /// Density in kg/m³: 1000 for water.
+    #[serde(rename = "density_kg_m3", with = "As::<Positive<Density>>")]
     pub density: f64,
-    /// `C_n`, drag across the axis.
+    /// C_n, not negative: drag across the axis. Default: 1.2, that of a smooth cylinder at Reynolds numbers from 10³ to
+    /// 10⁵.
+    #[serde(default = "normal_drag", with = "As::<NonNegative<Factor>>")]
     pub normal_drag: f64,
-    /// `C_t`, drag along the axis.
+    /// C_t, not negative: drag along the axis. Default: 0.01, that of a smooth skin.
+    #[serde(default = "tangential_drag", with = "As::<NonNegative<Factor>>")]
     pub tangential_drag: f64,
-    /// `C_a`, added mass.
+    /// Mass of the fluid that the arm moves along, in masses of the fluid in its place, not negative, in all directions
+    /// alike. Default: 1, that of a circular cylinder across its axis.
+    #[serde(default = "values::one", with = "As::<NonNegative<Factor>>")]
     pub added_mass: f64,
+}
+
+fn normal_drag() -> f64 {
+    1.2
+}
+
+fn tangential_drag() -> f64 {
+    0.01
 }
 
 /// What a fluid does to a node.

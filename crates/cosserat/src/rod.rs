@@ -40,7 +40,8 @@ pub use super::section::{Material, NodeInertia, Section, SectionProfile, Section
 pub type BaseCondition = EndCondition;
 
 /// Kind of the rotary inertia of nodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum RotaryInertia {
     /// Inertia of the section, `ρI` per length.
     #[default]

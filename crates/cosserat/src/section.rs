@@ -2,6 +2,7 @@
 
 use super::shape::Outline;
 use nalgebra::Vector3;
+use values::{As, Mass, MomentOfInertia, NonNegative};
 
 /// Stiffness and inertia of a cross-section, per unit of rest length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,14 +17,27 @@ pub struct Section {
     pub rotary: Vector3<f64>,
 }
 
-/// Lumped inertia of a node.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Lumped inertia of a node; in scenes that of a body at the tip.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "Payload", description = PAYLOAD))]
+#[serde(deny_unknown_fields)]
 pub struct NodeInertia {
-    /// Mass, kg.
+    /// Mass in kg, not negative.
+    #[serde(rename = "mass_kg", with = "As::<NonNegative<Mass>>")]
     pub mass: f64,
-    /// Principal moments of inertia, body frame, kg m².
+    /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
+    /// axis. Default: none.
+    #[serde(
+        rename = "inertia_kg_m2",
+        default,
+        with = "As::<[NonNegative<MomentOfInertia>; 3]>"
+    )]
     pub rotary: Vector3<f64>,
 }
+
+#[cfg(feature = "schema")]
+const PAYLOAD: &str = "A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.";
 
 /// A homogeneous, isotropic, linearly elastic material.
 #[derive(Clone, Copy, Debug, PartialEq)]

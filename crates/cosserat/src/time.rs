@@ -1,7 +1,8 @@
 //! Time grids, clocks and time schemes.
 
 /// Action of the elastic forces within a time step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum TimeScheme {
     /// The forces of both ends with half weight each: no equations to solve, and a [largest stable step](super::stable_step).
     #[default]

@@ -11,21 +11,37 @@ use super::transfer::Transfer;
 use mechanics::stability::automatic_step;
 use mechanics::{Rod, State, StepError, Stepper, TimeGrid, Wrench};
 use task::{Arm, Discretization};
+use values::{As, Force, ForceRate, Moment, MomentRate, NonNegative, Positive, Time};
 
-/// The dynamics between a command and the wrench that acts. The default is an actuator without delay, lag and limits.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Actuators that are late, slow and limited; the limits are norms of the wrench that acts.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "PlantActuator"))]
+#[serde(deny_unknown_fields, default)]
 pub struct ActuatorDynamics {
-    /// Time until a command has an effect, s.
+    /// Time in s until a command has any effect, not negative, default 0.
+    #[serde(rename = "delay_s", with = "As::<NonNegative<Time>>")]
     pub delay: f64,
-    /// Time constant of a first-order lag, s.
+    /// Time constant in s of a first-order lag, not negative, default 0.
+    #[serde(rename = "lag_s", with = "As::<NonNegative<Time>>")]
     pub lag: f64,
-    /// Largest force, N.
+    /// Largest force in N, positive. Absent: unbounded.
+    #[serde(rename = "force_max_n", with = "As::<Option<Positive<Force>>>")]
     pub force_max: f64,
-    /// Largest moment, N m.
+    /// Largest moment in N m, positive. Absent: unbounded.
+    #[serde(rename = "moment_max_n_m", with = "As::<Option<Positive<Moment>>>")]
     pub moment_max: f64,
-    /// Fastest change of the force, N/s.
+    /// Fastest change of a force in N/s, positive. Absent: unbounded.
+    #[serde(
+        rename = "force_rate_max_n_s",
+        with = "As::<Option<Positive<ForceRate>>>"
+    )]
     pub force_rate_max: f64,
-    /// Fastest change of the moment, N m/s.
+    /// Fastest change of a moment in N m/s, positive. Absent: unbounded.
+    #[serde(
+        rename = "moment_rate_max_n_m_s",
+        with = "As::<Option<Positive<MomentRate>>>"
+    )]
     pub moment_rate_max: f64,
 }
 

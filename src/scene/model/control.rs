@@ -1,17 +1,20 @@
 //! The controls that the optimizer may choose.
 
+use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::error::DescribeError;
 use super::super::keys::{Checked, Keys, LARGEST_COUNT};
-use super::super::values::{self, NonNegative, Number, Positive, known};
+use super::super::values::{self, Number, Positive};
 use super::{EndKind, Scene};
-use crate::control::{self, Hold};
+use crate::control::Hold;
 use crate::mechanics::Mesh;
 use crate::task::{
     self, ChannelLimits, DistributedCouple, OwnActuator, Place, Problem, WrenchActuator,
 };
+
+pub use crate::control::{Bound, FeedbackWeights as Feedback};
 
 /// Force and moment on the tip, and wrenches on other nodes, as functions of time on blocks of equal duration. A force
 /// or moment that is not named does not act.
@@ -67,29 +70,6 @@ pub struct Distributed {
     pub moment_scale_n_m_per_m: Option<Positive<values::CoupleDensity>>,
 }
 
-/// Weights of the regulator along the solution.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Feedback {
-    /// Weight of the energy of a deviation, twice the energy divided by EI/L, on the way and at the end; not negative, default 1.
-    pub state: NonNegative<values::Weight>,
-    /// Weight of the square of a correction divided by its scale; positive, default 1.
-    pub input: Positive<values::Weight>,
-    /// Scaled residual of the task that counts as 1 (divided by the length, or in rad); positive, default 0.01.
-    pub tolerance: Positive<values::Tolerance>,
-}
-
-impl Default for Feedback {
-    fn default() -> Self {
-        let weights = crate::control::FeedbackWeights::default();
-        Self {
-            state: known(weights.state),
-            input: known(weights.input),
-            tolerance: known(weights.tolerance),
-        }
-    }
-}
-
 /// A force (spatial frame) and a moment (the node's body frame) that the optimizer may choose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -104,29 +84,6 @@ pub struct Actuator {
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.
     pub moment_axes: Option<[bool; 3]>,
-}
-
-/// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative; `inf` bounds nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(
-    untagged,
-    expecting = "expected a number, which bounds the norm, or [x, y, z], which bounds each component"
-)]
-pub enum Bound {
-    /// A bound on the Euclidean norm.
-    Norm(f64),
-    /// A bound on the magnitude of each component.
-    PerAxis([f64; 3]),
-}
-
-impl Bound {
-    /// Tells whether the bound is zero in all components.
-    pub fn is_zero(self) -> bool {
-        match self {
-            Self::Norm(norm) => norm == 0.0,
-            Self::PerAxis(bounds) => bounds == [0.0; 3],
-        }
-    }
 }
 
 impl Default for Control {
@@ -263,7 +220,7 @@ impl Keys<'_> {
             self.finite_number(&key, bound)?;
             self.not_below_zero(&key, bound, "bound", "N m/m")?;
         }
-        let (key, message, help) = if distributed.moment_max_n_m_per_m.is_zero() {
+        let (key, message, help) = if is_zero(distributed.moment_max_n_m_per_m) {
             (key, "nothing acts", "leave [control.distributed] out")
         } else if scene.rod.elements < 2 {
             let message = "couples act on the nodes between the ends, and one element has none";
@@ -309,7 +266,11 @@ impl Keys<'_> {
 
 /// Tells whether a part of a wrench with this bound acts.
 fn acts(bound: Option<Bound>) -> bool {
-    bound.is_some_and(|bound| !bound.is_zero())
+    bound.is_some_and(|bound| !is_zero(bound))
+}
+
+fn is_zero(bound: Bound) -> bool {
+    bound == Bound::Norm(0.0) || bound == Bound::PerAxis(Vector3::zeros())
 }
 
 /// Returns the numbers of a bound with their keys.
@@ -317,9 +278,11 @@ fn numbers(key: &str, bound: Option<Bound>) -> Vec<(String, f64)> {
     match bound {
         None => Vec::new(),
         Some(Bound::Norm(norm)) => vec![(key.into(), norm)],
-        Some(Bound::PerAxis(bounds)) => (bounds.into_iter().enumerate())
-            .map(|(axis, bound)| (format!("{key}.{axis}"), bound))
+        Some(Bound::PerAxis(bounds)) => (bounds.iter().enumerate())
+            .map(|(axis, bound)| (format!("{key}.{axis}"), *bound))
             .collect(),
+        // No scene has it.
+        Some(Bound::Between { .. }) => Vec::new(),
     }
 }
 
@@ -328,25 +291,18 @@ const NAME_A_PART: &str = "a force or moment acts only where it is named; give i
 force_max_n = inf";
 
 /// Returns the bound of the task; `None` if all of it is infinite.
-pub(in crate::scene) fn bound_of(bound: Bound) -> Option<control::Bound> {
-    match bound {
-        Bound::Norm(limit) => limit.is_finite().then_some(control::Bound::Norm(limit)),
-        Bound::PerAxis(limits) => (limits.iter())
-            .any(|limit| limit.is_finite())
-            .then(|| control::Bound::PerAxis(limits.into())),
-    }
+pub(in crate::scene) fn bound_of(bound: Bound) -> Option<Bound> {
+    let is_finite = match bound {
+        Bound::Norm(limit) => limit.is_finite(),
+        Bound::PerAxis(limits) => limits.iter().any(|limit| limit.is_finite()),
+        Bound::Between { .. } => true,
+    };
+    is_finite.then_some(bound)
 }
 
 /// Returns the bound as a scene has it, where `None` is a part that does not act.
-fn bound(bound: Option<control::Bound>) -> Option<Bound> {
-    match bound {
-        None => Some(Bound::Norm(f64::INFINITY)),
-        Some(control::Bound::Norm(0.0)) => None,
-        Some(control::Bound::Norm(limit)) => Some(Bound::Norm(limit)),
-        Some(control::Bound::PerAxis(limits)) => Some(Bound::PerAxis(limits.into())),
-        // `described_control` refuses it.
-        Some(control::Bound::Between { .. }) => None,
-    }
+fn bound(bound: Option<Bound>) -> Option<Bound> {
+    Some(bound.unwrap_or(Bound::Norm(f64::INFINITY))).filter(|bound| *bound != Bound::Norm(0.0))
 }
 
 fn axes(limits: &ChannelLimits) -> Option<[bool; 3]> {
@@ -383,7 +339,7 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
     }
     let one_sided = |limits: &ChannelLimits| {
         let bounds = [limits.bound, limits.rate_bound];
-        (bounds.iter().flatten()).any(|bound| matches!(bound, control::Bound::Between { .. }))
+        (bounds.iter().flatten()).any(|bound| matches!(bound, Bound::Between { .. }))
     };
     if (problem.task.actuators.iter()).any(|own| one_sided(&own.force) || one_sided(&own.moment)) {
         return Err(DescribeError(
@@ -448,14 +404,8 @@ impl Control {
 impl Distributed {
     /// Couples along the arm as an actuator.
     pub(in crate::scene) fn of_task(&self) -> OwnActuator {
-        let (bound, largest) = match self.moment_max_n_m_per_m {
-            Bound::Norm(most) => (control::Bound::Norm(most), most),
-            Bound::PerAxis(most) => (
-                control::Bound::PerAxis(most.into()),
-                most.into_iter().fold(0.0, f64::max),
-            ),
-        };
-        let scale = self.moment_scale_n_m_per_m.map_or(largest, Number::get);
+        let bound = self.moment_max_n_m_per_m;
+        let scale = (self.moment_scale_n_m_per_m).map_or(bound.largest(), Number::get);
         DistributedCouple::bounded(self.points, bound, scale)
     }
 }

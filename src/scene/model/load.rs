@@ -5,10 +5,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
-use super::super::values::{self, Fraction, NonNegative, Number, Positive, digits, known};
+use super::super::values::{self, As, Fraction, NonNegative, Number, Profile, digits, known};
 use super::Scene;
-use crate::mechanics::{self, LoadFrame, Mesh, NodeInertia};
+use crate::mechanics::{LoadFrame, Mesh, NodeInertia};
 use crate::task::{Arm, Place, PointLoad};
+
+pub use crate::mechanics::{DistributedLoad, NodeInertia as Payload, resistance::Fluid};
 
 /// Uniform gravity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -31,54 +33,6 @@ pub struct Damping {
     pub internal_s: NonNegative<values::Time>,
 }
 
-/// A fluid at rest around the whole arm, which counts as a slender circular cylinder of its radius r at every place. Per
-/// length it resists by density times r times (C_n times the square of the speed across the axis plus π times C_t times
-/// that of the speed along it), each against its own part of the velocity; under gravity it lifts the arm by the weight
-/// of the fluid in its place.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Fluid {
-    /// Density in kg/m³: 1000 for water.
-    pub density_kg_m3: Positive<values::Density>,
-    /// C_n, not negative: drag across the axis. Default: 1.2, that of a smooth cylinder at Reynolds numbers from 10³ to
-    /// 10⁵.
-    #[serde(default = "Fluid::normal_drag")]
-    pub normal_drag: NonNegative<values::Factor>,
-    /// C_t, not negative: drag along the axis. Default: 0.01, that of a smooth skin.
-    #[serde(default = "Fluid::tangential_drag")]
-    pub tangential_drag: NonNegative<values::Factor>,
-    /// Mass of the fluid that the arm moves along, in masses of the fluid in its place, not negative, in all directions
-    /// alike. Default: 1, that of a circular cylinder across its axis.
-    #[serde(default = "Fluid::added_mass")]
-    pub added_mass: NonNegative<values::Factor>,
-}
-
-impl Fluid {
-    fn normal_drag() -> NonNegative<values::Factor> {
-        known(1.2)
-    }
-
-    fn tangential_drag() -> NonNegative<values::Factor> {
-        known(0.01)
-    }
-
-    fn added_mass() -> NonNegative<values::Factor> {
-        known(1.0)
-    }
-}
-
-/// A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Payload {
-    /// Mass in kg, not negative.
-    pub mass_kg: NonNegative<values::Mass>,
-    /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
-    /// axis. Default: none.
-    #[serde(default)]
-    pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
-}
-
 /// A rigid body on the arm, as a disc, a magnet or a gripper, with its center of mass on the axis of the arm and its
 /// principal axes along those of the section there. `[payload]` is the one at the tip.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -92,29 +46,6 @@ pub struct Body {
     /// axis. Default: none.
     #[serde(default)]
     pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
-}
-
-/// A prescribed force and moment per rest length on a section of the arm.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct DistributedLoad {
-    /// Start of the loaded section, as a fraction of `rod.length_m` from the base. Default: 0, the base.
-    #[serde(default)]
-    pub from: Fraction,
-    /// End of the loaded section, as a fraction, after `from`. Default: 1, the tip.
-    #[serde(default = "Fraction::one")]
-    pub to: Fraction,
-    /// Force in N per m of the arm's rest length. Default: none.
-    #[serde(default)]
-    pub force_n_per_m: [f64; 3],
-    /// Moment in N m per m of the arm's rest length. Default: none.
-    #[serde(default)]
-    pub moment_n_m_per_m: [f64; 3],
-    /// Frame in which force and moment are given.
-    #[serde(default)]
-    pub frame: LoadFrame,
-    /// Factor on force and moment over time, as in `[[load]]`. Absent: always 1.
-    pub profile: Option<Vec<[f64; 2]>>,
 }
 
 /// A prescribed force and moment on one node.
@@ -135,7 +66,8 @@ pub struct Load {
     pub frame: LoadFrame,
     /// Factor on force and moment over time, as [t in s, factor] with increasing t; linear in between and 0 outside.
     /// Absent: always 1.
-    pub profile: Option<Vec<[f64; 2]>>,
+    #[serde(default, with = "As::<Option<Profile>>")]
+    pub profile: Vec<(f64, f64)>,
 }
 
 /// A node of the rod.
@@ -237,20 +169,11 @@ impl Scene {
             arm.viscous_damping = damping.viscous_1_s.get();
             arm.internal_damping = damping.internal_s.get();
         }
-        arm.fluid = self
-            .fluid
-            .as_ref()
-            .map(|fluid| mechanics::resistance::Fluid {
-                density: fluid.density_kg_m3.get(),
-                normal_drag: fluid.normal_drag.get(),
-                tangential_drag: fluid.tangential_drag.get(),
-                added_mass: fluid.added_mass.get(),
-            });
-        arm.payload = self.payload.as_ref().map(Payload::of_arm);
+        arm.fluid = self.fluid;
+        arm.payload = self.payload;
         arm.bodies = self.body.iter().map(Body::of_arm).collect();
         arm.loads = self.load.iter().map(|load| load.of_arm(mesh)).collect();
-        let distributed = self.distributed_load.iter();
-        arm.distributed_loads = distributed.map(DistributedLoad::of_arm).collect();
+        arm.distributed_loads.clone_from(&self.distributed_load);
     }
 
     /// Sets the sections of this module to what they say of an arm.
@@ -262,18 +185,12 @@ impl Scene {
             viscous_1_s: known(arm.viscous_damping),
             internal_s: known(arm.internal_damping),
         });
-        self.fluid = arm.fluid.map(|fluid| Fluid {
-            density_kg_m3: known(fluid.density),
-            normal_drag: known(fluid.normal_drag),
-            tangential_drag: known(fluid.tangential_drag),
-            added_mass: known(fluid.added_mass),
-        });
-        self.payload = arm.payload.map(Payload::describing);
+        self.fluid = arm.fluid;
+        self.payload = arm.payload;
         self.body = arm.bodies.iter().map(Body::describing).collect();
         let loads = arm.loads.iter();
         self.load = loads.map(|load| Load::describing(load, mesh)).collect();
-        let distributed = arm.distributed_loads.iter();
-        self.distributed_load = distributed.map(DistributedLoad::describing).collect();
+        self.distributed_load.clone_from(&arm.distributed_loads);
     }
 }
 
@@ -292,7 +209,16 @@ impl Keys<'_> {
             self.check_load("load", load, index, scene.rod.elements)?;
         }
         for (index, load) in scene.distributed_load.iter().enumerate() {
-            self.check_distributed_load(load, index)?;
+            let key = |name: &str| format!("distributed_load.{index}.{name}");
+            if load.to <= load.from {
+                let [from, to] = [load.from, load.to].map(digits);
+                let message = format!("{to} does not come after from, {from}");
+                return Err(self
+                    .source
+                    .error_at(&key("to"), message, None)
+                    .expecting("expected a larger fraction, up to 1 (tip)"));
+            }
+            self.check_profile(&key("profile"), &load.profile)?;
         }
         Ok(())
     }
@@ -319,26 +245,15 @@ impl Keys<'_> {
         self.node(&key("node"), load.node, elements)?;
         self.finite(&key("force_n"), &load.force_n)?;
         self.finite(&key("moment_n_m"), &load.moment_n_m)?;
-        load.profile.as_ref().map_or(Ok(()), |profile| {
-            self.table(&key("profile"), profile, "a constant load")
-        })
+        self.check_profile(&key("profile"), &load.profile)
     }
 
-    fn check_distributed_load(&self, load: &DistributedLoad, index: usize) -> Checked {
-        let key = |name: &str| format!("distributed_load.{index}.{name}");
-        let (from, to) = (load.from.get(), load.to.get());
-        if to <= from {
-            let message = format!("{} does not come after from, {}", digits(to), digits(from));
-            return Err(self
-                .source
-                .error_at(&key("to"), message, None)
-                .expecting("expected a larger fraction, up to 1 (tip)"));
+    fn check_profile(&self, key: &str, rows: &[(f64, f64)]) -> Checked {
+        let rows: Vec<[f64; 2]> = rows.iter().map(|&row| row.into()).collect();
+        match rows.is_empty() {
+            true => Ok(()),
+            false => self.table(key, &rows, "a constant load"),
         }
-        self.finite(&key("force_n_per_m"), &load.force_n_per_m)?;
-        self.finite(&key("moment_n_m_per_m"), &load.moment_n_m_per_m)?;
-        load.profile.as_ref().map_or(Ok(()), |profile| {
-            self.table(&key("profile"), profile, "a constant load")
-        })
     }
 }
 
@@ -350,7 +265,7 @@ impl Load {
             force: self.force_n.into(),
             moment: self.moment_n_m.into(),
             frame: self.frame,
-            profile: points(&self.profile),
+            profile: self.profile.clone(),
         }
     }
 
@@ -361,33 +276,7 @@ impl Load {
             force_n: load.force.into(),
             moment_n_m: load.moment.into(),
             frame: load.frame,
-            profile: rows(&load.profile),
-        }
-    }
-}
-
-impl DistributedLoad {
-    /// The load of an arm.
-    fn of_arm(&self) -> mechanics::DistributedLoad {
-        mechanics::DistributedLoad {
-            from: self.from.get(),
-            to: self.to.get(),
-            force: self.force_n_per_m.into(),
-            moment: self.moment_n_m_per_m.into(),
-            frame: self.frame,
-            profile: points(&self.profile),
-        }
-    }
-
-    /// The keys of a load.
-    fn describing(load: &mechanics::DistributedLoad) -> Self {
-        Self {
-            from: known(load.from),
-            to: known(load.to),
-            force_n_per_m: load.force.into(),
-            moment_n_m_per_m: load.moment.into(),
-            frame: load.frame,
-            profile: rows(&load.profile),
+            profile: load.profile.clone(),
         }
     }
 }
@@ -395,55 +284,19 @@ impl DistributedLoad {
 impl Body {
     /// Place and inertia of the body.
     fn of_arm(&self) -> (f64, NodeInertia) {
-        (self.at.get(), inertia(self.mass_kg, self.inertia_kg_m2))
+        let inertia = NodeInertia {
+            mass: self.mass_kg.get(),
+            rotary: self.inertia_kg_m2.map(Number::get).into(),
+        };
+        (self.at.get(), inertia)
     }
 
     /// The keys of a body.
     fn describing(&(at, body): &(f64, NodeInertia)) -> Self {
-        let Payload {
-            mass_kg,
-            inertia_kg_m2,
-        } = Payload::describing(body);
         Self {
             at: known(at),
-            mass_kg,
-            inertia_kg_m2,
+            mass_kg: known(body.mass),
+            inertia_kg_m2: <[f64; 3]>::from(body.rotary).map(known),
         }
     }
-}
-
-fn inertia(
-    mass: NonNegative<values::Mass>,
-    rotary: [NonNegative<values::MomentOfInertia>; 3],
-) -> NodeInertia {
-    NodeInertia {
-        mass: mass.get(),
-        rotary: rotary.map(Number::get).into(),
-    }
-}
-
-impl Payload {
-    /// The inertia of the tip.
-    pub(in crate::scene) fn of_arm(&self) -> NodeInertia {
-        inertia(self.mass_kg, self.inertia_kg_m2)
-    }
-
-    /// The keys of an inertia of the tip.
-    fn describing(payload: NodeInertia) -> Self {
-        Self {
-            mass_kg: known(payload.mass),
-            inertia_kg_m2: <[f64; 3]>::from(payload.rotary).map(known),
-        }
-    }
-}
-
-/// Points of a profile.
-fn points(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
-    let points = profile.iter().flatten();
-    points.map(|&[t, factor]| (t, factor)).collect()
-}
-
-/// Rows of a profile; `None` where it is constant.
-fn rows(points: &[(f64, f64)]) -> Option<Vec<[f64; 2]>> {
-    (!points.is_empty()).then(|| points.iter().map(|&(t, factor)| [t, factor]).collect())
 }

@@ -6,7 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::super::keys::{Checked, Keys, LARGEST_COUNT};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::Scene;
-use crate::mpc::{self, EffortFrom, FallbackSettings, LoopSettings, MpcSettings};
+use crate::mpc::{self, EffortFrom, LoopSettings, MpcSettings};
+
+pub use crate::mpc::FallbackSettings as Fallback;
 
 /// Default weight of jumps, larger than that of the library: a model coarser than the arm has wrong fast modes, to which the controller
 /// must not react.
@@ -36,20 +38,6 @@ impl Default for Mpc {
             compensate: true,
             seed: None,
             fallback: None,
-        }
-    }
-}
-
-impl Default for Fallback {
-    fn default() -> Self {
-        let settings = FallbackSettings::default();
-        Self {
-            patience_s: settings.patience.map(known),
-            plan_samples: settings.plan_samples,
-            damping_samples: settings.damping_samples,
-            ramp_s: known(settings.ramp),
-            hold: settings.holds,
-            damping: known(settings.damping),
         }
     }
 }
@@ -130,27 +118,6 @@ pub enum Computing {
     Measured,
 }
 
-/// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the wrench
-/// goes to zero along a ramp, or stays as it is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Fallback {
-    /// Largest age in s of an estimate from which the state is still predicted, positive. Absent: the largest `age_s`
-    /// plus two periods of the slowest sensor, so that one reading may be lost, and at least ten `period_s`.
-    pub patience_s: Option<Positive<values::Duration>>,
-    /// Samples in a row that follow the plan, default 10.
-    pub plan_samples: usize,
-    /// Samples in a row after these that damp the tip where its velocity is known, default 50.
-    pub damping_samples: usize,
-    /// Duration in s of the ramp to zero, positive, default 0.5.
-    pub ramp_s: Positive<values::Duration>,
-    /// Holds the last command in place of the ramp, default false: an arm that carries a load would fall with it. With `plan_samples = 0` and
-    /// `damping_samples = 0` it is held from the first sample on.
-    pub hold: bool,
-    /// Damping of the tip's force over the critical one of a cantilever's first mode, positive, default 0.5.
-    pub damping: Positive<values::Factor>,
-}
-
 /// Default number of blocks in the horizon.
 const BLOCKS: f64 = 10.0;
 
@@ -175,25 +142,19 @@ impl Mpc {
 
     /// Returns the keys with the times of these settings of the loop, which has an estimator or not.
     pub(in crate::scene) fn resolved(&self, settings: &LoopSettings, estimates: bool) -> Self {
-        let own = self.fallback.clone();
-        let fallback = || Fallback {
-            patience_s: settings.fallback.patience.map(known),
-            ..own.clone().unwrap_or_default()
-        };
         Self {
             computing_s: match settings.computing {
                 mpc::Computing::Fixed(seconds) => Some(known(seconds)),
                 mpc::Computing::Instant | mpc::Computing::Measured => None,
             },
             actuator_delay_s: Some(known(settings.actuator_delay)),
-            fallback: estimates.then(fallback).or_else(|| own.clone()),
+            fallback: estimates.then_some(settings.fallback).or(self.fallback),
             ..self.clone()
         }
     }
 
     /// Returns the settings of the loop; `actuator_delay` in s is the delay of the actuators if no key gives another.
     pub(in crate::scene) fn loop_settings(&self, actuator_delay: f64) -> LoopSettings {
-        let fallback = self.fallback.clone().unwrap_or_default();
         LoopSettings {
             computing: match self.computing {
                 Computing::None => mpc::Computing::Instant,
@@ -205,14 +166,7 @@ impl Mpc {
             predicts: self.predict,
             compensates: self.compensate,
             actuator_delay: self.actuator_delay_s.map_or(actuator_delay, Number::get),
-            fallback: FallbackSettings {
-                patience: fallback.patience_s.map(Number::get),
-                plan_samples: fallback.plan_samples,
-                damping_samples: fallback.damping_samples,
-                ramp: fallback.ramp_s.get(),
-                holds: fallback.hold,
-                damping: fallback.damping.get(),
-            },
+            fallback: self.fallback.unwrap_or_default(),
             ..LoopSettings::default()
         }
     }

@@ -10,7 +10,7 @@ use super::super::keys::{Checked, Excludes, Keys, LARGEST_COUNT, Needs, given};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use super::geometry::wxyz;
 use super::{LoadNode, Scene};
-use crate::control::Tracking;
+use crate::control::OptimalControlProblem;
 use crate::mechanics::{Mesh, RodModel};
 use crate::task::{self, Cost, Problem};
 
@@ -171,7 +171,7 @@ impl Keys<'_> {
             self.check_path(&section, track)?;
         }
         let free = scene.task.as_ref().and_then(|task| task.free_duration);
-        let has_price = free.is_some_and(|free| free.price.get() > 0.0);
+        let has_price = free.is_some_and(|free| free.price > 0.0);
         if objective.effort.get() == 0.0 && objective.rate.get() == 0.0 && !has_price {
             let message =
                 "both this and objective.rate are 0, so that there is nothing to make small";
@@ -267,24 +267,32 @@ impl Objective {
         }
     }
 
+    /// Returns the objective with the weights that were chosen for a problem, and the scales of the actuator on its tip.
+    pub(in crate::scene) fn resolved(mut self, problem: &OptimalControlProblem) -> Self {
+        for (track, tracking) in self.track.iter_mut().zip(&problem.objective.tracking) {
+            track.take_weights(tracking);
+        }
+        let tip = problem.wrench_actuators().into_iter().next();
+        Self {
+            force_scale_n: tip.map(|tip| known(tip.force.scale)),
+            moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
+            ..self
+        }
+    }
+
     /// The keys of a problem's objective, with the weights and scales that were chosen for it.
     pub(in crate::scene) fn describing(problem: &Problem) -> Self {
-        let (cost, chosen) = (&problem.task.cost, &problem.discretization);
-        let tip = problem.discrete.wrench_actuators().into_iter().next();
-        let tracks = cost.tracks.iter().zip(&problem.discrete.objective.tracking);
-        Self {
+        let (cost, mesh) = (&problem.task.cost, &problem.discrete.rod.mesh);
+        let tracks = cost.tracks.iter();
+        let own = Self {
             effort: known(cost.effort),
             rate: known(cost.rate),
             energy: known(cost.energy),
-            track: tracks
-                .map(|(track, discrete)| {
-                    Track::describing(track, discrete, &problem.discrete.rod.mesh)
-                })
-                .collect(),
-            samples: chosen.samples,
-            force_scale_n: tip.map(|tip| known(tip.force.scale)),
-            moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
-        }
+            track: tracks.map(|track| Track::describing(track, mesh)).collect(),
+            samples: problem.discretization.samples,
+            ..Self::default()
+        };
+        own.resolved(&problem.discrete)
     }
 }
 
@@ -303,8 +311,8 @@ impl Track {
         }
     }
 
-    /// The keys of a track, with the weights that were chosen for it.
-    fn describing(track: &task::Track, discrete: &Tracking, mesh: &Mesh) -> Self {
+    /// The keys of a track.
+    fn describing(track: &task::Track, mesh: &Mesh) -> Self {
         Self {
             node: LoadNode::of(track.at, mesh),
             orientations_wxyz: (track.rotations.iter())
@@ -316,10 +324,7 @@ impl Track {
             directions: (track.directions.iter())
                 .map(|(t, d)| [*t, d.x, d.y, d.z])
                 .collect(),
-            orientation_weight: discrete
-                .end_of_turns()
-                .is_some()
-                .then(|| known(discrete.rotation_weight)),
+            orientation_weight: track.rotation_weight.map(known),
             path_m: (track.path.iter())
                 .map(|&(t, x)| [t, x.x, x.y, x.z])
                 .collect(),
@@ -327,9 +332,9 @@ impl Track {
             figure_eight: None,
             path_csv: None,
             switches: false,
-            weight: (!track.path.is_empty()).then(|| known(discrete.weight)),
-            speed_weight: (discrete.speed_weight > 0.0).then(|| known(discrete.speed_weight)),
-            from_s: (discrete.from > 0.0).then(|| known(discrete.from)),
+            weight: track.weight.map(known),
+            speed_weight: (track.speed_weight > 0.0).then(|| known(track.speed_weight)),
+            from_s: (track.from > 0.0).then(|| known(track.from)),
         }
     }
 }

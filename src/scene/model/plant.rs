@@ -8,7 +8,9 @@ use super::super::keys::{Checked, Keys, given, given_of};
 use super::super::values::{self, NonNegative, Number, Positive, digits};
 use super::{Payload, Scene, Section};
 use crate::mechanics::{Friction, StrainActuator};
-use crate::mpc::{ActuatorDynamics, EffortDynamics};
+use crate::mpc::EffortDynamics;
+
+pub use crate::mpc::ActuatorDynamics as PlantActuator;
 
 /// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -158,40 +160,6 @@ impl Plant {
         tendons.chain(others.into_iter().flat_map(|(section, all)| {
             (all.iter().enumerate()).map(move |(index, own)| (section, index, own.clone()))
         }))
-    }
-}
-
-/// Actuators that are late, slow and limited; the limits are norms of the wrench that acts.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct PlantActuator {
-    /// Time in s until a command has any effect, not negative, default 0.
-    pub delay_s: NonNegative<values::Time>,
-    /// Time constant in s of a first-order lag, not negative, default 0.
-    pub lag_s: NonNegative<values::Time>,
-    /// Largest force in N, positive. Absent: unbounded.
-    pub force_max_n: Option<Positive<values::Force>>,
-    /// Largest moment in N m, positive. Absent: unbounded.
-    pub moment_max_n_m: Option<Positive<values::Moment>>,
-    /// Fastest change of a force in N/s, positive. Absent: unbounded.
-    pub force_rate_max_n_s: Option<Positive<values::ForceRate>>,
-    /// Fastest change of a moment in N m/s, positive. Absent: unbounded.
-    pub moment_rate_max_n_m_s: Option<Positive<values::MomentRate>>,
-}
-
-impl PlantActuator {
-    /// Dynamics between a command and the wrench that acts.
-    pub(in crate::scene) fn dynamics(&self) -> ActuatorDynamics {
-        ActuatorDynamics {
-            delay: self.delay_s.get(),
-            lag: self.lag_s.get(),
-            force_max: self.force_max_n.map_or(f64::INFINITY, Number::get),
-            moment_max: self.moment_max_n_m.map_or(f64::INFINITY, Number::get),
-            force_rate_max: self.force_rate_max_n_s.map_or(f64::INFINITY, Number::get),
-            moment_rate_max: self
-                .moment_rate_max_n_m_s
-                .map_or(f64::INFINITY, Number::get),
-        }
     }
 }
 

@@ -9,11 +9,11 @@ pub use self::segment::*;
 use super::super::error::DescribeError;
 use super::super::keys::{Checked, Excludes, Keys, given};
 use super::super::materials::{MaterialFigures, MaterialPreset, Shear};
-use super::super::values::{self, Number, PoissonRatio, Positive, digits, known};
+use super::super::values::{self, As, Number, PoissonRatio, Positive, digits, known, or_auto};
 use super::super::{SceneError, SceneSource};
 use super::{Inertia, Section, Stiffness};
 use crate::mechanics::rows;
-use crate::mechanics::{self, MOST_ELEMENTS, RodModel, SectionProfile, StrainRule};
+use crate::mechanics::{MOST_ELEMENTS, RodModel, RotaryInertia, SectionProfile, StrainRule};
 use crate::task;
 
 /// A straight or curved rod with a section of some material, or with stiffness and inertia given directly.
@@ -41,8 +41,8 @@ pub struct Rod {
     #[serde(default)]
     pub model: RodModel,
     /// Rotary inertia of the nodes.
-    #[serde(default)]
-    pub rotary_inertia: RotaryInertia,
+    #[serde(default, with = "As::<RotaryInertiaKey>")]
+    pub rotary_inertia: Option<RotaryInertia>,
     /// Radius in m of a rod that has no `section`, for pictures and for the distance from obstacles; without effect on
     /// the motion.
     pub display_radius_m: Option<Positive<values::Radius>>,
@@ -71,20 +71,19 @@ pub(in crate::scene) const FINEST: f64 = 1e-8;
 /// Largest accuracy that a grid can be chosen for; with a larger one, no shape is resolved.
 pub(in crate::scene) const COARSEST: f64 = 0.1;
 
-/// The rotary inertia of the nodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum RotaryInertia {
-    /// That of segments if the arm is slender, has a material, and would take more than a second and five times as long
-    /// with that of sections; otherwise that of sections. `softarm check` says which, and how it changes the first
-    /// natural frequency.
-    #[default]
-    Auto,
-    /// That of the section.
-    Section,
-    /// That of the section and of the piece of rod that a node stands for, rho A l²/12 about all axes, l the length of an element. It
-    /// vanishes with more elements and lets a wire take long steps; not for rods that spin fast about their own axis.
-    Segment,
+or_auto! {
+    /// The rotary inertia of the nodes.
+    RotaryInertiaKey("RotaryInertia") of RotaryInertia {
+        /// That of segments if the arm is slender, has a material, and would take more than a second and five times as long
+        /// with that of sections; otherwise that of sections. `softarm check` says which, and how it changes the first
+        /// natural frequency.
+        Auto,
+        /// That of the section.
+        Section: Section,
+        /// That of the section and of the piece of rod that a node stands for, rho A l²/12 about all axes, l the length of an element. It
+        /// vanishes with more elements and lets a wire take long steps; not for rods that spin fast about their own axis.
+        Segment: Segment,
+    }
 }
 
 /// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which take
@@ -345,14 +344,6 @@ pub(in crate::scene) fn describe_section(
         from = segment.to;
     }
     Ok(())
-}
-
-/// The rod's rotary inertia, by its name in scenes.
-pub(in crate::scene) fn rotary_inertia(inertia: mechanics::RotaryInertia) -> RotaryInertia {
-    match inertia {
-        mechanics::RotaryInertia::Section => RotaryInertia::Section,
-        mechanics::RotaryInertia::Segment => RotaryInertia::Segment,
-    }
 }
 
 /// Checks that an accuracy is in its range.

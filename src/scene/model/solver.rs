@@ -4,8 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys, LARGEST_COUNT};
-use super::super::values::{self, Positive, known};
-use crate::control::Continuation;
+use super::super::values::{self, As, Positive, known, or_auto};
+use crate::control::{Continuation, Guess};
 use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
 
 /// Settings of the optimizer.
@@ -27,7 +27,8 @@ pub struct Solver {
     /// Variables of the quadratic subproblems.
     pub qp: QpRoute,
     /// Initial guess.
-    pub guess: Guess,
+    #[serde(with = "As::<GuessKey>")]
+    pub guess: Option<Guess>,
     /// Easier problems that are solved first, each from the solution of the one before. Absent: none.
     pub continuation: Option<Continuation>,
     /// Wall-clock time in s from the start of the command, positive. Then all work ends, the check included, and the
@@ -35,20 +36,19 @@ pub struct Solver {
     pub deadline_s: Option<Positive<values::Duration>>,
 }
 
-/// Initial guess of a solve.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Guess {
-    /// The arm at rest; then, until a solve converges, detours through static shapes (with obstacles), static shapes on
-    /// the way to the task, a detour (without obstacles), and last the slow motion.
-    #[default]
-    Auto,
-    /// Static shapes on the way to the task.
-    Static,
-    /// The motion under the forces that hold these shapes.
-    Slow,
-    /// The arm at rest, without controls.
-    Rest,
+or_auto! {
+    /// Initial guess of a solve.
+    GuessKey("Guess") of Guess {
+        /// The arm at rest; then, until a solve converges, detours through static shapes (with obstacles), static shapes on
+        /// the way to the task, a detour (without obstacles), and last the slow motion.
+        Auto,
+        /// Static shapes on the way to the task.
+        Static: StaticPath,
+        /// The motion under the forces that hold these shapes.
+        Slow: Slow,
+        /// The arm at rest, without controls.
+        Rest: Rest,
+    }
 }
 
 impl Default for Solver {
@@ -60,7 +60,7 @@ impl Default for Solver {
             saddle_gain: known(settings.saddle_gain),
             hessian: HessianChoice::default(),
             qp: QpRoute::default(),
-            guess: Guess::default(),
+            guess: None,
             continuation: None,
             deadline_s: None,
         }

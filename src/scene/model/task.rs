@@ -9,10 +9,12 @@ use super::super::keys::{Checked, Excludes, Given, Keys, Needs, given};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::geometry::wxyz;
 use super::{EndKind, LoadNode, Scene};
-use crate::control::{self, Enforcement, Goal};
+use crate::control::Enforcement;
 use crate::mechanics::Mesh;
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::task::{self, Hardness, Problem, Rest, Staying, Target, Tolerances};
+
+pub use crate::control::FreeDuration;
 
 /// Target of the tip: a position, an orientation or a direction, a velocity, or several of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -119,23 +121,6 @@ impl From<AtRest> for AtRestKey {
             AtRest::Passing => Self::Flag(false),
         }
     }
-}
-
-/// Free final time. Blocks of the control, waypoints and samples scale with the duration; loads and paths to follow
-/// keep to the clock.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct FreeDuration {
-    /// Shortest duration in s, positive.
-    pub shortest_s: Positive<values::Duration>,
-    /// Longest duration in s, not below `shortest_s`. The time step is chosen for this one.
-    pub longest_s: Positive<values::Duration>,
-    /// Cost of a second in 1/s, not negative, default 1: as much as a control of the size sqrt(2 price/effort) costs
-    /// that is held for a second, in units of `objective.force_scale_n` or `moment_scale_n_m`. With `objective.effort =
-    /// 0` and `rate = 0` only time counts, whatever its price: this is minimum time, for which the controls need
-    /// bounds.
-    #[serde(default = "NonNegative::<values::PriceOfTime>::one")]
-    pub price: NonNegative<values::PriceOfTime>,
 }
 
 /// A waypoint: a position, an orientation or a direction, or both.
@@ -274,7 +259,7 @@ impl Keys<'_> {
 
     fn check_free_duration(&self, free: &FreeDuration, start: f64) -> Checked {
         let key = |name: &str| format!("task.free_duration.{name}");
-        let (shortest, longest) = (free.shortest_s.get(), free.longest_s.get());
+        let (shortest, longest) = (free.shortest, free.longest);
         if longest < shortest {
             let message = format!("{} s is below shortest_s", digits(longest));
             return Err(self.source.error_at(&key("longest_s"), message, None));
@@ -436,8 +421,10 @@ fn rounded(value: f64) -> String {
 }
 
 impl Task {
-    /// Writes out the weights of soft goals that the discretization chose.
-    pub(in crate::scene) fn take_weights(&mut self, goals: &[Goal]) {
+    /// Returns the task with what was chosen for a problem: its time, the weights of soft goals, how long and how closely the arm stays, and
+    /// how slow it is where it stops.
+    pub(in crate::scene) fn resolved(mut self, problem: &Problem) -> Self {
+        let (horizon, goals) = (problem.task.horizon, &problem.discrete.goals);
         let weight = |name: &str| {
             (goals.iter().filter(|goal| goal.name == name)).find_map(|goal| {
                 match goal.enforcement {
@@ -449,6 +436,19 @@ impl Task {
         self.weight = weight("task").or(self.weight);
         for (index, via) in self.via.iter_mut().enumerate() {
             via.weight = weight(&format!("task.via.{index}")).or(via.weight);
+        }
+        if let (Some(stay), Rest::Staying(_)) = (&problem.discrete.stay, self.rest()) {
+            self.stays_s = Some(known(stay.seconds));
+            self.stays_m = Some(known(stay.distance));
+        }
+        let [speed, spin] = self.tolerances().rest(problem.arm.length, horizon);
+        let stops = self.hard && self.at_rest == AtRest::Tip;
+        let has_speed = stops || self.hard && self.velocity_m_s.is_some();
+        Self {
+            at_s: Some(known(horizon)),
+            tolerance_m_s: has_speed.then(|| known(speed)),
+            tolerance_rad_s: stops.then(|| known(spin)),
+            ..self
         }
     }
 
@@ -559,56 +559,31 @@ fn described_hardness(hardness: Hardness) -> (bool, Option<Positive<values::Weig
 
 pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Vec<Via>) -> Task {
     let (hard, weight) = described_hardness(goal.hardness);
-    let stay = problem.discrete.stay.as_deref();
-    let [speed, spin] = goal
-        .tolerances
-        .rest(problem.arm.length, problem.task.horizon);
-    let with_rest = goal.rest == Rest::Instant && hard;
-    let with_speed = with_rest || (goal.velocity.is_some() && hard);
-    Task {
+    let own = Task {
         node: LoadNode::of(goal.at, &problem.discrete.rod.mesh),
         position_m: goal.position.map(Into::into),
         orientation_wxyz: goal.rotation.as_ref().map(wxyz),
         direction: goal.direction.map(Into::into),
         velocity_m_s: goal.velocity.map(Into::into),
-        at_s: Some(known(problem.task.horizon)),
-        free_duration: problem.task.free_duration.map(FreeDuration::describing),
+        at_s: None,
+        free_duration: problem.task.free_duration,
         at_rest: match goal.rest {
             Rest::Passing => AtRest::Passing,
             Rest::Instant => AtRest::Tip,
             Rest::Staying(_) => AtRest::Staying,
         },
-        stays_s: stay.map(|stay| known(stay.seconds)),
-        stays_m: stay.map(|stay| known(stay.distance)),
+        stays_s: None,
+        stays_m: None,
         hard,
         weight,
         tolerance_m: goal.tolerances.distance.map(known),
         tolerance_rad: goal.tolerances.angle.map(known),
-        tolerance_m_s: with_speed.then(|| known(speed)),
-        tolerance_rad_s: with_rest.then(|| known(spin)),
+        tolerance_m_s: goal.tolerances.speed.map(known),
+        tolerance_rad_s: goal.tolerances.spin.map(known),
         via,
-    }
+    };
+    own.resolved(problem)
 }
 
 /// Largest stretch of a clamped rod on its way to a target; rods do not model larger strains.
 pub const LARGEST_STRETCH: f64 = 1.3;
-
-impl FreeDuration {
-    /// The free final time of a task.
-    pub(in crate::scene) fn of_task(self) -> control::FreeDuration {
-        control::FreeDuration {
-            shortest: self.shortest_s.get(),
-            longest: self.longest_s.get(),
-            price: self.price.get(),
-        }
-    }
-
-    /// The keys of a free final time.
-    fn describing(free: control::FreeDuration) -> Self {
-        Self {
-            shortest_s: known(free.shortest),
-            longest_s: known(free.longest),
-            price: known(free.price),
-        }
-    }
-}

@@ -4,8 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
-use super::super::values::{self, NonNegative, Positive, digits};
-use crate::mechanics;
+use super::super::values::{self, As, NonNegative, Positive, Written, digits, or_auto};
+use crate::mechanics::TimeScheme;
 use crate::task::MOST_STEPS;
 
 /// Duration and time step.
@@ -20,39 +20,27 @@ pub struct Time {
     /// is the step of the controller's model and may be longer than a sample period; "auto" takes implicit steps of
     /// half a block, or of less under strong bending, if the horizon recedes and they are faster than explicit ones.
     /// Default: "auto".
-    #[serde(default)]
-    pub step_s: TimeStep,
+    #[serde(default, with = "As::<TimeStepKey>")]
+    pub step_s: Option<f64>,
     /// Kind of time step. Default: "auto".
-    #[serde(default)]
-    pub integrator: TimeScheme,
+    #[serde(default, with = "As::<TimeSchemeKey>")]
+    pub integrator: Option<TimeScheme>,
 }
 
-/// Kind of time step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum TimeScheme {
-    /// The kind that is predicted to be faster: implicit only if explicit steps would take more than a second and ten
-    /// times as long; explicit if `step_s` is stable for it. `softarm check` shows both predictions.
-    #[default]
-    Auto,
-    /// Cheap steps that must resolve the fastest elastic wave of an element.
-    Explicit,
-    /// Costlier steps that need not resolve elastic waves, for stiff and thin arms; strong bending still limits them.
-    Implicit,
+or_auto! {
+    /// Kind of time step.
+    TimeSchemeKey("TimeScheme") of TimeScheme {
+        /// The kind that is predicted to be faster: implicit only if explicit steps would take more than a second and ten
+        /// times as long; explicit if `step_s` is stable for it. `softarm check` shows both predictions.
+        Auto,
+        /// Cheap steps that must resolve the fastest elastic wave of an element.
+        Explicit: Explicit,
+        /// Costlier steps that need not resolve elastic waves, for stiff and thin arms; strong bending still limits them.
+        Implicit: Implicit,
+    }
 }
 
 /// The time step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(from = "TimeStepKey", into = "TimeStepKey")]
-pub enum TimeStep {
-    /// A step that suits this rod and the integrator.
-    #[default]
-    Auto,
-    /// This many seconds, positive.
-    Seconds(f64),
-}
-
-/// A positive number of seconds, or "auto".
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a number of seconds or \"auto\"")]
 #[schemars(rename = "TimeStep")]
@@ -68,20 +56,15 @@ enum AutoWord {
     Auto,
 }
 
-impl From<TimeStepKey> for TimeStep {
-    fn from(key: TimeStepKey) -> TimeStep {
-        match key {
-            TimeStepKey::Word(AutoWord::Auto) => TimeStep::Auto,
-            TimeStepKey::Seconds(seconds) => TimeStep::Seconds(seconds),
-        }
+impl Written<Option<f64>> for TimeStepKey {
+    fn of(plain: &Option<f64>) -> Self {
+        plain.map_or(Self::Word(AutoWord::Auto), Self::Seconds)
     }
-}
 
-impl From<TimeStep> for TimeStepKey {
-    fn from(step: TimeStep) -> TimeStepKey {
-        match step {
-            TimeStep::Auto => TimeStepKey::Word(AutoWord::Auto),
-            TimeStep::Seconds(seconds) => TimeStepKey::Seconds(seconds),
+    fn plain(self) -> Option<f64> {
+        match self {
+            Self::Word(AutoWord::Auto) => None,
+            Self::Seconds(seconds) => Some(seconds),
         }
     }
 }
@@ -111,7 +94,7 @@ impl Keys<'_> {
             Err((self.source.error_at(key, message, None)).expecting(expected))
         };
         is_long_enough("time.end_s", end)?;
-        let TimeStep::Seconds(step) = time.step_s else {
+        let Some(step) = time.step_s else {
             return Ok(());
         };
         self.positive("time.step_s", step, "time step", "seconds")?;
@@ -128,14 +111,6 @@ impl Keys<'_> {
                 .expecting(format!("expected at most {} steps", digits(MOST_STEPS))));
         }
         Ok(())
-    }
-}
-
-/// The rod's integrator, by its name in scenes.
-pub(in crate::scene) fn integrator(scheme: mechanics::TimeScheme) -> TimeScheme {
-    match scheme {
-        mechanics::TimeScheme::Explicit => TimeScheme::Explicit,
-        mechanics::TimeScheme::Implicit => TimeScheme::Implicit,
     }
 }
 

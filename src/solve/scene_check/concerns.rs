@@ -13,7 +13,7 @@ use crate::mechanics::{
     settled,
 };
 use crate::output::summary::{ContactFact, ContactFacts, OutputSize, RestSummary};
-use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
+use crate::scene::Scene;
 use crate::stop::StopSignal;
 use crate::task::StartShape;
 
@@ -272,9 +272,7 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
     }
     out.extend(pressed(rod));
     out.extend(one_of_several(scene, rod));
-    if scene.rod.rotary_inertia == RotaryInertiaKey::Auto
-        && rod.rotary_inertia == RotaryInertia::Segment
-    {
+    if scene.rod.rotary_inertia.is_none() && rod.rotary_inertia == RotaryInertia::Segment {
         out.push(
             "rod.rotary_inertia: that of segments was chosen, since that of such thin sections would take steps far shorter; what it changes \
              vanishes with more elements as l^2, and is part of the certificate's refined_space_m; \"section\" if the wire spins \
@@ -322,12 +320,9 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
             2.0 / rod.viscous_damping
         ));
     }
-    let profiles = (scene.load.iter().map(|load| &load.profile))
+    let mut profiles = (scene.load.iter().map(|load| &load.profile))
         .chain(scene.distributed_load.iter().map(|load| &load.profile));
-    if profiles
-        .flatten()
-        .any(|profile| profile.last().is_some_and(|last| last[0] < 0.0))
-    {
+    if profiles.any(|profile| profile.last().is_some_and(|last| last.0 < 0.0)) {
         out.push("load.profile: a load ends before t = 0 and never acts".into());
     }
     out

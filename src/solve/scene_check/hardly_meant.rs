@@ -144,11 +144,7 @@ fn beside_section(scene: &Scene) -> Vec<String> {
 
 /// Describes the effect of a load on the arm if it exceeds the plausible range.
 fn heavy(index: usize, load: &Load, rod: &Rod) -> Option<String> {
-    let factors = load
-        .profile
-        .iter()
-        .flatten()
-        .map(|[_, factor]| factor.abs());
+    let factors = load.profile.iter().map(|(_, factor)| factor.abs());
     let factor = factors.reduce(f64::max).unwrap_or(1.0);
     let [force, moment] = [load.force_n, load.moment_n_m].map(|v| factor * Vector3::from(v).norm());
     let turns = moment / rod.scales.moment / TAU;

@@ -29,7 +29,7 @@ use crate::output::summary::{
     ActuatorSummary, CheckSummary, MaterialSummary, OutputSize, ProblemSize, RestSummary,
     SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
 };
-use crate::scene::{Scene, SceneError, SceneSource, TimeScheme as TimeSchemeKey};
+use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
 use crate::task::prediction::SolveTime;
 
@@ -120,17 +120,14 @@ pub(crate) fn check_scene(
         optimal_control: run.size,
         output: run.output,
         memory_bytes: run.memory.total() as u64,
-        payload_kg: scene
-            .payload
-            .as_ref()
-            .map_or(0.0, |payload| payload.mass_kg.get()),
+        payload_kg: scene.payload.as_ref().map_or(0.0, |payload| payload.mass),
         material: material(scene),
         at_rest,
         actuators,
         static_need,
         solve_cost: solve_cost.filter(|_| closed_loop.is_none()),
         closed_loop,
-        integrator_is_chosen: scene.time.integrator == TimeSchemeKey::Auto,
+        integrator_is_chosen: scene.time.integrator.is_none(),
         warnings: concerns,
     };
     Ok(SceneCheck {

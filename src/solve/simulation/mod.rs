@@ -15,7 +15,7 @@ use self::touching::MOST_DIVISIONS;
 use crate::mechanics::StepError;
 use crate::output::summary::{AccuracySummary, SimulateSummary};
 use crate::output::{Checkpoint, OutputError, ResultKind, RunDirectory};
-use crate::scene::{Scene, SceneError, SceneSource, Simulation, TimeStep};
+use crate::scene::{Scene, SceneError, SceneSource, Simulation};
 use crate::stop::StopSignal;
 
 /// Why there is no result of a simulation.
@@ -136,7 +136,7 @@ impl SimulationRun {
             mut found,
             warnings,
         } = self;
-        let is_open = scene.time.step_s == TimeStep::Auto;
+        let is_open = scene.time.step_s.is_none();
         let started = Instant::now();
         let folder = directory.path().to_path_buf();
         let kept = |source: OutputError| OutputError::Kept {

@@ -6,7 +6,7 @@ use super::super::causes::SAME;
 use super::SimulationError;
 use crate::mechanics::Stepper;
 use crate::output::{Checkpoint, ResultKind, RunDirectory};
-use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation, TimeStep};
+use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation};
 use crate::stop::StopSignal;
 
 /// Checkpoint of an earlier run.
@@ -65,10 +65,10 @@ pub(super) fn continued(
     if scene.accuracy().is_some() {
         scene = scene.with_grid(&earlier.discretization());
     }
-    let is_divided = checkpoint.divided > 1 && scene.time.step_s == TimeStep::Auto;
+    let is_divided = checkpoint.divided > 1 && scene.time.step_s.is_none();
     if is_divided {
-        scene.time.step_s = TimeStep::Seconds(checkpoint.step_s * checkpoint.divided as f64);
-    } else if scene.time.step_s == TimeStep::Auto {
+        scene.time.step_s = Some(checkpoint.step_s * checkpoint.divided as f64);
+    } else if scene.time.step_s.is_none() {
         scene.time.step_s = earlier.time.step_s;
     }
     let mut setup = scene.simulation_until(source, stop)?;
@@ -112,7 +112,7 @@ pub(super) fn continued(
         ));
     }
     setup.grid.step = step;
-    setup.resolved.time.step_s = TimeStep::Seconds(step);
+    setup.resolved.time.step_s = Some(step);
     let rows = checkpoint.step / setup.steps_per_row + 1; // and one at the end
     if checkpoint.n_nodes() != setup.rod.n_nodes()
         || !checkpoint.step.is_multiple_of(Stepper::SEAT)

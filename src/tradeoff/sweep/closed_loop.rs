@@ -8,9 +8,9 @@ use super::lines::{Line, Measure};
 use super::{
     Fate, Models, Point, Recommendation, Setting, SweepError, SweepReference, Tradeoff, Work, fit,
 };
-use crate::mechanics::RodModel;
+use crate::mechanics::{RodModel, TimeScheme};
 use crate::mpc::{Contender, Outcome};
-use crate::scene::{EstimatorKind, TimeScheme};
+use crate::scene::EstimatorKind;
 
 /// Cap on the fraction of `--budget` that one run takes: 15 runs fit into the fraction for settings that change one key, about as many as
 /// there are of these for a usual loop.

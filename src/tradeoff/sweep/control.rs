@@ -12,9 +12,9 @@ use super::{
 };
 use crate::control::{Attempt, ControlGrid, Hold, OptimalControlProblem, search};
 use crate::mechanics::stability::automatic_step;
-use crate::mechanics::{ControlSignal, Rod, State, StepError, StrainRule, TimeGrid};
+use crate::mechanics::{ControlSignal, Rod, State, StepError, StrainRule, TimeGrid, TimeScheme};
 use crate::memory::of_solve;
-use crate::scene::{OptimalControl, Scene, TimeScheme};
+use crate::scene::{OptimalControl, Scene};
 use crate::sqp::{HessianChoice, SADDLE_GAIN, SqpStatus};
 use crate::task::Discretization;
 use crate::task::prediction::SolveTime;
@@ -338,7 +338,7 @@ impl Solved {
                 (Arc::new(rod), start)
             };
             let needed = TimeGrid::covering(discrete.grid.step, automatic_step(&rod), 1).n_steps;
-            let parts = if rod.scheme == crate::mechanics::TimeScheme::Implicit {
+            let parts = if rod.scheme == TimeScheme::Implicit {
                 factor
             } else {
                 factor.max(if factor == 1 { 1 } else { needed })

@@ -29,8 +29,7 @@ pub fn mark_front(points: &mut [Point]) {
 pub(super) mod tests {
     use super::super::{Fate, Setting};
     use super::*;
-    use crate::mechanics::{RodModel, StrainRule};
-    use crate::scene::{RotaryInertia, TimeScheme};
+    use crate::mechanics::{RodModel, RotaryInertia, StrainRule, TimeScheme};
 
     /// A setting of a simulation.
     pub(in crate::tradeoff) fn setting() -> Setting {

@@ -28,7 +28,7 @@ use super::motion::RunError;
 use crate::clock::{ProcessorClock, Seconds};
 use crate::control::GuessError;
 use crate::mpc::MpcError;
-use crate::scene::{Scene, SceneError, SceneSource, TimeStep};
+use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
 use crate::task::{Discretization, prediction::simulation_seconds};
 
@@ -360,25 +360,21 @@ impl Sweep<'_> {
                 (resolved, mpc)
             }
         };
-        let own_step = match scene.time.step_s {
-            TimeStep::Seconds(step) => Some(step),
-            TimeStep::Auto => None,
-        };
         let controlled = subject == Subject::OptimalControl;
         let own = scene.discretization();
         let solver = scene.solver.clone().unwrap_or_default();
         Ok(Setting {
             strain: resolved.rod.strain,
             elements: resolved.rod.elements,
-            integrator: resolved.time.integrator,
+            integrator: resolved.time.integrator.unwrap_or_default(),
             step_over_automatic: 1.0,
-            rotary_inertia: resolved.rod.rotary_inertia,
+            rotary_inertia: resolved.rod.rotary_inertia.unwrap_or_default(),
             model: resolved.rod.model,
             blocks: controlled.then_some(own.blocks),
             hold: controlled.then_some(own.hold),
             tolerance: controlled.then(|| solver.tolerance.get()),
             hessian: controlled.then_some(solver.hessian),
-            model_step_s: loops.as_ref().and(own_step),
+            model_step_s: loops.as_ref().and(scene.time.step_s),
             horizon_s: loops.as_ref().and_then(|mpc| Some(mpc.horizon_s?.get())),
             block_s: loops.as_ref().and_then(|mpc| Some(mpc.block_s?.get())),
             iterations: loops.as_ref().map(|mpc| mpc.iterations),

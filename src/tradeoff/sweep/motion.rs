@@ -10,9 +10,9 @@ use super::{
     FINER, Fate, LADDER, Models, Point, Recommendation, Setting, SweepError, SweepReference,
     Tradeoff, Work, fit, least, simulation_seconds,
 };
-use crate::mechanics::{RodModel, StrainRule};
+use crate::mechanics::{RodModel, RotaryInertia, StrainRule, TimeScheme};
 use crate::memory::of_simulation;
-use crate::scene::{MOST_ELEMENTS, RotaryInertia, Scene, TimeScheme};
+use crate::scene::{MOST_ELEMENTS, Scene};
 use crate::task::prediction::FEWEST_ELEMENTS;
 use crate::task::{Discretization, DiscretizeError};
 

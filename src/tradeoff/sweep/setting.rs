@@ -5,9 +5,9 @@ use serde_json::{Map, Value};
 
 use super::Point;
 use crate::control::Hold;
-use crate::mechanics::{RodModel, StrainRule};
+use crate::mechanics::{RodModel, RotaryInertia, StrainRule, TimeScheme};
 use crate::output::json_value;
-use crate::scene::{EstimatorKind, RotaryInertia, Scene, TimeScheme};
+use crate::scene::{EstimatorKind, Scene};
 use crate::sqp::HessianChoice;
 use crate::task::Discretization;
 
@@ -134,8 +134,8 @@ impl Setting {
             rotary_inertia: None,
             ..own
         });
-        out.time.integrator = self.integrator;
-        out.rod.rotary_inertia = self.rotary_inertia;
+        out.time.integrator = Some(self.integrator);
+        out.rod.rotary_inertia = Some(self.rotary_inertia);
         out.rod.model = self.model;
         out.set_solver(self.tolerance, self.hessian);
         out.set_loop(

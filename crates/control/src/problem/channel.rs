@@ -1,15 +1,22 @@
 //! The controls of a problem, with their bounds: wrenches on nodes, and what drives actuators of the arm.
 
 use nalgebra::Vector3;
+use values::As;
 
-/// Limit of the vector of a [channel](Channel).
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative; `inf` bounds nothing.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(
+    untagged,
+    expecting = "expected a number, which bounds the norm, or [x, y, z], which bounds each component"
+)]
 pub enum Bound {
-    /// `|u| ≤ limit`: a second-order cone.
+    /// A bound on the Euclidean norm.
     Norm(f64),
-    /// `|u_i| ≤ limit_i` per axis; an axis with limit 0 is not actuated.
-    PerAxis(Vector3<f64>),
+    /// A bound on the magnitude of each component.
+    PerAxis(#[serde(with = "As::<[f64; 3]>")] Vector3<f64>),
     /// `lower_i ≤ u_i ≤ upper_i` per axis, with zero between; an axis where both are 0 is not actuated.
+    #[serde(skip)]
     Between {
         /// `lower`, at most 0.
         lower: Vector3<f64>,

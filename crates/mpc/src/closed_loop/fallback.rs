@@ -9,6 +9,7 @@ use crate::error::MpcError;
 use crate::estimator::EstimateError;
 use crate::sensor::SensorSettings;
 use mechanics::{Rod, State, Wrench};
+use values::{As, Duration, Factor, Positive};
 
 /// The reason why a sample has no command of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -83,21 +84,30 @@ impl std::fmt::Display for Action {
     }
 }
 
-/// Durations of the fallbacks.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the wrench
+/// goes to zero along a ramp, or stays as it is.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "Fallback"))]
+#[serde(deny_unknown_fields, default)]
 pub struct FallbackSettings {
-    /// Largest age of an estimate from which the state is predicted, s. `None`: the age that the sensors require, at least
-    /// [`PATIENCE`](Self::PATIENCE) periods.
+    /// Largest age in s of an estimate from which the state is still predicted, positive. Absent: the largest `age_s`
+    /// plus two periods of the slowest sensor, so that one reading may be lost, and at least ten `period_s`.
+    #[serde(rename = "patience_s", with = "As::<Option<Positive<Duration>>>")]
     pub patience: Option<f64>,
-    /// Number of consecutive samples that follow the plan as it is, whose value for an arm without measurements decreases with time.
+    /// Samples in a row that follow the plan, default 10.
     pub plan_samples: usize,
-    /// Number of consecutive samples after these that damp the tip, if its velocity is known.
+    /// Samples in a row after these that damp the tip where its velocity is known, default 50.
     pub damping_samples: usize,
-    /// Duration of a ramp to zero, s.
+    /// Duration in s of the ramp to zero, positive, default 0.5.
+    #[serde(rename = "ramp_s", with = "As::<Positive<Duration>>")]
     pub ramp: f64,
-    /// Tells whether the last command is held in place of the ramp.
+    /// Holds the last command in place of the ramp, default false: an arm that carries a load would fall with it. With `plan_samples = 0` and
+    /// `damping_samples = 0` it is held from the first sample on.
+    #[serde(rename = "hold")]
     pub holds: bool,
-    /// Damping of that force divided by the critical damping of a cantilever's first mode.
+    /// Damping of the tip's force over the critical one of a cantilever's first mode, positive, default 0.5.
+    #[serde(with = "As::<Positive<Factor>>")]
     pub damping: f64,
 }
 

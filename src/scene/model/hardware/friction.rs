@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::super::super::keys::{Checked, Keys, Needs};
 use super::super::super::values::{self, Positive, known};
-use super::super::{Scene, TimeScheme};
+use super::super::Scene;
 use super::Tendon;
-use crate::mechanics::{Friction, RodModel};
+use crate::mechanics::{Friction, RodModel, TimeScheme};
 
 /// The direction in which a tendon slid before it came to rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -69,7 +69,7 @@ impl Keys<'_> {
             return self.relations(&section, &rows);
         }
         let diagnostics = (scene.output.as_ref()).is_some_and(|output| output.diagnostics);
-        let reason = if scene.time.integrator == TimeScheme::Explicit {
+        let reason = if scene.time.integrator == Some(TimeScheme::Explicit) {
             "time.integrator = \"explicit\": the direction in which a tendon slides is that of a whole implicit step"
         } else if scene.rod.model != RodModel::Standard {
             "this rod.model, which has explicit steps only"
