@@ -1,5 +1,5 @@
-//! The published benchmarks as a Markdown table, helical elements beside ten times as many trapezoidal ones, two to four minutes:
-//! `cargo bench --bench published > benches/published.md`.
+//! The published benchmarks as Markdown tables, helical elements beside ten times as many trapezoidal ones, and rods of OpenCR-MuJoCo, two
+//! to four minutes: `cargo bench --bench published > benches/published.md`; with `-- opencr` the latter alone, in seconds.
 
 #[path = "../tests/common/mod.rs"]
 mod common;
@@ -9,6 +9,7 @@ use common::published::dynamics::{
     planar_beam, states, stretching_error,
 };
 use common::published::frequencies::families;
+use common::published::opencr::{median, references, rms};
 use common::published::statics::{
     Benchmark, Elastica, Helix, bent_across, bent_along, buckled, critical_load_error, elastica,
     follower_error, forty_five_degree_bend, line_load, loads, paper_rod_table, post_buckling,
@@ -24,6 +25,14 @@ use softarm::mechanics::{
 const HELICAL: [usize; 3] = [5, 10, 20];
 
 fn main() {
+    if std::env::args().all(|argument| argument != "opencr") {
+        rules();
+    }
+    opencr();
+}
+
+/// Helical and trapezoidal elements.
+fn rules() {
     println!(
         "# Published benchmarks\n\n\
          Printed by `cargo bench --bench published > benches/published.md`. Do K helical elements do what 10 K trapezoidal \
@@ -366,5 +375,63 @@ fn dynamics() {
             LUMPED,
             |rule, n| Swing::distance(&tips(rule, n), &exact),
         );
+    }
+}
+
+/// Rods of OpenCR-MuJoCo, at rest and released.
+fn opencr() {
+    println!(
+        "\n## Rods that SoRoSim computed\n\n\
+         Alone by `cargo bench --bench published -- opencr`. OpenCR-MuJoCo has them beside its simulator \
+         ([data](../examples/opencr/references/README.md)): a rod is held by wrenches in the middle and at the tip, and by gravity. Errors are \
+         distances of the tip over the length. \"Rounding\" is the distance by which tips move when loads and positions change within half \
+         of the fourth place, to which the data are written.\n"
+    );
+    let show = |errors: &[f64]| {
+        [median, rms, largest]
+            .map(|of| format!("{:.1e}", of(errors)))
+            .join(" / ")
+    };
+    println!(
+        "| shapes at rest: median / rms / largest | number | rounding | K = 20 | K = 40 | K = 80 |\n|{}",
+        " --- |".repeat(6)
+    );
+    for reference in references() {
+        let shapes = reference.shapes();
+        let cells = [20, 40, 80].map(|n| show(&reference.static_errors(n, &shapes)));
+        let rounding = show(&reference.static_rounding(40, &shapes));
+        println!(
+            "| {} | {} | {rounding} | {} |",
+            reference.name,
+            shapes.len(),
+            cells.join(" | ")
+        );
+    }
+    println!(
+        "\nA release takes the wrenches away; the rod moves for 10 s under its weight and internal damping. Root mean square over the motion, \
+         with implicit steps of 1 ms. The references neither shear nor stretch; the last columns have a rod that does both, and one that \
+         is stiffer.\n"
+    );
+    println!(
+        "| release | K = 20 | K = 40 | K = 80 | K = 40, half the step | K = 40, shears and stretches | K = 80, 0.1 % stiffer |\n|{}",
+        " --- |".repeat(7)
+    );
+    for reference in references() {
+        for number in reference.releases {
+            let release = reference.release(number);
+            let [mut shearing, mut stiffer] = [(); 2].map(|()| reference.clone());
+            shearing.shears = true;
+            stiffer.stiffness = 1.001;
+            let cells = [
+                (&reference, 20, 1e-3),
+                (&reference, 40, 1e-3),
+                (&reference, 80, 1e-3),
+                (&reference, 40, 5e-4),
+                (&shearing, 40, 1e-3),
+                (&stiffer, 80, 1e-3),
+            ]
+            .map(|(rod, n, step)| format!("{:.1e}", rod.release_error(n, step, &release)));
+            println!("| {}, {number} | {} |", reference.name, cells.join(" | "));
+        }
     }
 }

@@ -3,6 +3,7 @@
 
 pub mod dynamics;
 pub mod frequencies;
+pub mod opencr;
 pub mod statics;
 
 use softarm::mechanics::{RodParameters, StrainRule};
