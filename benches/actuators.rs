@@ -89,7 +89,7 @@ fn around(
             let (sin, cos) = (std::f64::consts::FRAC_PI_2 * f64::from(i)).sin_cos();
             StrainActuator {
                 name: String::new(),
-                density,
+                density: density.clone(),
                 scale,
                 route: Route {
                     turns,
