@@ -8,6 +8,7 @@ mod common;
 mod support;
 
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::time::Instant;
 
 use common::soft_arm;
@@ -17,8 +18,8 @@ use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rollout::{Beside, ControlRows, Rollout};
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
-    Density, Material, NodeInertia, Rod, RodParameters, Route, SectionProfile, State, Stepper,
-    StrainActuator, StrainRule, TimeScheme,
+    Density, Learned, LearnedBasis, LearnedPart, LearnedStrains, Material, NodeInertia, Rod,
+    RodParameters, Route, SectionProfile, State, Stepper, StrainActuator, StrainRule, TimeScheme,
 };
 use softarm::sqp::{HessianChoice, SqpSettings, solve};
 use softarm::stop::StopSignal;
@@ -105,6 +106,40 @@ fn around(
         .collect()
 }
 
+/// A rest of the whole arm, of functions of both bendings.
+fn learned(basis: LearnedBasis) -> LearnedPart {
+    LearnedPart {
+        name: "rest".into(),
+        density: Arc::new(Learned {
+            strains: LearnedStrains::OfSection,
+            weights: vec![1e-3; basis.len()],
+            basis,
+        }),
+        of: Vec::new(),
+        from: 0.0,
+        to: 1.0,
+    }
+}
+
+fn radial() -> LearnedBasis {
+    LearnedBasis::Radial {
+        inverse_radii: [0.2, 0.2, 0.0, 0.0],
+        centers: (0..25)
+            .map(|i| [f64::from(i / 5) - 2.0, f64::from(i % 5) - 2.0, 0.0, 0.0])
+            .collect(),
+    }
+}
+
+fn ridge() -> LearnedBasis {
+    let turn = |i: i32| (0.8 * f64::from(i)).sin_cos();
+    LearnedBasis::Ridge {
+        slopes: (0..8)
+            .map(|i| [0.2 * turn(i).0, 0.2 * turn(i).1, 0.0, 0.0])
+            .collect(),
+        offsets: vec![0.1; 8],
+    }
+}
+
 /// The forward step of a moving arm, all cases with the same time step.
 fn steps(implicit: bool) {
     let arm = soft_arm(StrainRule::Helical, ELEMENTS);
@@ -114,16 +149,20 @@ fn steps(implicit: bool) {
         "four helical tendons",
         "four chambers",
         "four muscles",
+        "a rest of 25 radial functions",
+        "a rest of 8 ridge functions",
     ];
     let sets = [
-        Vec::new(),
-        around(Density::Shortening, 1.0, 0.0, 1.0, 0.05),
-        around(Density::Shortening, 1.0, 1.0, 1.0, 0.05),
-        around(Density::Volume, 1e-3, 0.0, 1e3, 0.05),
-        around(Density::Muscle, 1.0, 0.0, 1.0, 0.05),
+        (Vec::new(), Vec::new()),
+        (around(Density::Shortening, 1.0, 0.0, 1.0, 0.05), Vec::new()),
+        (around(Density::Shortening, 1.0, 1.0, 1.0, 0.05), Vec::new()),
+        (around(Density::Volume, 1e-3, 0.0, 1e3, 0.05), Vec::new()),
+        (around(Density::Muscle, 1.0, 0.0, 1.0, 0.05), Vec::new()),
+        (Vec::new(), vec![learned(radial())]),
+        (Vec::new(), vec![learned(ridge())]),
     ];
     let rods: Vec<Rod> = (sets.into_iter())
-        .map(|actuators| Rod {
+        .map(|(actuators, learned)| Rod {
             scheme: if implicit {
                 TimeScheme::Implicit
             } else {
@@ -131,6 +170,7 @@ fn steps(implicit: bool) {
             },
             ..Rod::new(&RodParameters {
                 actuators,
+                learned,
                 ..arm.clone()
             })
             .expect("a valid rod")

@@ -86,6 +86,31 @@ def test_derivatives_are_those_of_whole_motions(linear):
     near(np.sum(found.start.R[4] * (start.R[4] @ hat)), differences(turned, angles, 0, 0.05), 1.0)
 
 
+@pytest.mark.parametrize("integrator", ["explicit", "implicit"])
+def test_learned_rests_have_derivatives(integrator):
+    """Weights of a rest of the arm and of one of a tendon are numbers as others, and a rest has no effort of its own."""
+    section = {"strains": ["bend_1", "bend_2"], "grid": [[-6.0, 6.0, 3]] * 2, "weights": [1e-4 * k for k in range(9)]}
+    tendon = {"of": ["left"], "strains": ["toward"], "grid": [[-10.0, 10.0, 3]], "weights": [1e-3, 2e-3, 1e-3]}
+    arm = scene(learned=[section, tendon], time={"end_s": 1.0, "integrator": integrator})
+    keys = ["learned.0.weights.4", "learned.1.weights.1", KEYS[0]]
+    rollout, own = arm.rollout(0.02, keys), efforts()
+    assert rollout.actuators == ["left", "front"] == arm.plant().actuators
+    motion = rollout(own)
+    along = weights(motion)
+    found = motion.gradient(**along)
+    for i, size in enumerate([1e-3, 1e-3, 4e5]):
+        expected = differences(lambda x: total(rollout(own, values=x), along), rollout.values, i, size)
+        assert abs(found.values[i] - expected) < 1e-6 * (abs(expected) + 1.0 / size)
+    expected = differences(lambda x: total(rollout(x), along), own, (3, 0), 0.1)
+    assert abs(found.efforts[3, 0] - expected) < 1e-6 * (abs(expected) + 1.0)
+    rows = [[0.3, 0.1]]
+    shapes = arm.shapes(rows, gradient=keys)
+    for i, (key, size) in enumerate(zip(keys, [1e-3, 1e-3, 1e5])):
+        at = np.array([rollout.values[i]])
+        expected = differences(lambda x: arm.replace({key: x[0]}).shapes(rows).x, at, 0, size)
+        assert np.abs(shapes.along[0][:, i] - expected).max() < 1e-6 * np.abs(expected).max()
+
+
 def test_a_rollout_is_the_motion_of_a_plant():
     own = efforts()
     motion, plant = scene().rollout(0.02)(own), scene().plant()
