@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 const MOST_ITERATIONS: usize = 60;
 /// The search ends where a step changes no parameter by more than this part of its scale.
 const SMALL_STEP: f64 = 1e-7;
-/// The search ends where a step is predicted to take no more than this part of the sum of squares.
+/// The search ends where a step that is hardly damped is predicted to take no more than this part of the sum of squares.
 const SMALL_GAIN: f64 = 1e-10;
 /// Step of the central differences, as a part of the scale of a parameter: their error is its square, 1e-8, and rounding of residuals over
 /// it, some 1e-8 where these are exact to 1e-12.
@@ -82,7 +82,8 @@ impl<E> Problem<'_, E> {
             let (before, after) = (cost(&residuals), found.as_ref().map_or(f64::INFINITY, cost));
             // -gᵀs - ½ sᵀNs, of which the sum of squares is twice.
             let gain = -2.0 * gradient.dot(&step) - step.dot(&(&normal * &step));
-            converged = moved <= SMALL_STEP || gain <= SMALL_GAIN * before;
+            let is_free = damping <= DAMPING[0];
+            converged = moved <= SMALL_STEP || is_free && gain <= SMALL_GAIN * before;
             if after <= before {
                 at = trial;
                 if let Some(found) = found {
