@@ -57,7 +57,7 @@ pub struct FeedbackWeights {
     pub tolerance: f64,
 }
 
-/// Default of [`FeedbackWeights::tolerance`] and of the key `control.feedback.tolerance`.
+/// Default of [`FeedbackWeights::tolerance`] and of the key `control.feedback.tolerance`; a goal within a tolerance uses its own.
 const TOLERANCE: f64 = 1e-2;
 
 impl Default for FeedbackWeights {

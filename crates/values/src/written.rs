@@ -82,7 +82,7 @@ impl Written<f64> for f64 {
     }
 }
 
-/// A vector, three numbers.
+/// A vector is a list of three numbers.
 impl<T, W: Written<f64>> Written<T> for [W; 3]
 where
     T: Copy + From<[f64; 3]> + Into<[f64; 3]>,

@@ -269,6 +269,7 @@ fn acts(bound: Option<Bound>) -> bool {
     bound.is_some_and(|bound| !is_zero(bound))
 }
 
+/// Tells whether a bound is zero in all components.
 fn is_zero(bound: Bound) -> bool {
     bound == Bound::Norm(0.0) || bound == Bound::PerAxis(Vector3::zeros())
 }

@@ -1,4 +1,7 @@
 //! The controls of a problem, with their bounds: wrenches on nodes, and what drives actuators of the arm.
+//!
+//! A [bound](Bound) on the norm of a [channel](Channel), `|u| ≤ limit`, is a second-order cone; bounds per axis are `|u_i| ≤ limit_i`, and an
+//! axis with the limit 0 is not actuated.
 
 use nalgebra::Vector3;
 use values::As;
