@@ -122,7 +122,7 @@ struct Limited {
     model: &'static [&'static str],
     /// Doubts: key, and least and largest value.
     doubts: &'static [(&'static str, [f64; 2])],
-    /// What a hundredth of counts as kept: radius of obstacle and arm, or the limit.
+    /// Radius of obstacle and arm (m), or the limit in its unit, a hundredth of which counts as kept.
     size: f64,
 }
 
