@@ -15,6 +15,8 @@ use std::ops::ControlFlow;
 
 #[path = "support/plants.rs"]
 mod plants;
+#[path = "support/scenes.rs"]
+mod scenes;
 
 use nalgebra::Vector3;
 use softarm::control::Bound;
@@ -587,6 +589,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "robustness",
         "long",
         "seeds",
+        "lags",
+        "limits",
         "times",
     ];
     let asked = |part: &str| {
@@ -624,6 +628,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     if asked("seeds") {
         plants::seeds(value("--seeds").unwrap_or(50.0) as usize, seconds.min(6.0))?;
+    }
+    if asked("lags") {
+        scenes::lags()?;
+    }
+    if asked("limits") {
+        scenes::limits(value("--plants").unwrap_or(12.0) as usize)?;
     }
     if asked("times") {
         times()?;
