@@ -65,7 +65,7 @@ pub struct Drive {
     pub largest: f64,
     /// The winch of a tendon whose input is a displacement.
     pub winch: Option<Winch>,
-    /// Tells whether it is a [learned potential](super::learned::LearnedPart) of the rod, the effort of which is 1 whatever is given.
+    /// Tells whether it is a [learned potential](LearnedPart) of the rod, the effort of which is 1 whatever is given.
     pub is_learned: bool,
 }
 
@@ -229,7 +229,7 @@ pub struct PlacedPoint {
     pub actuator: usize,
     /// Index among the efforts: that of the actuator, or with friction along the path one of its own for every element.
     pub line: usize,
-    /// Zero for the density of the actuator itself, otherwise the place of a [learned part](super::learned) among those that correct it, from 1.
+    /// Zero for the density of the actuator itself, otherwise the place of a [learned part](LearnedPart) among those that correct it, from 1.
     pub part: usize,
     /// Its density.
     pub density: Density,
@@ -613,7 +613,7 @@ impl RodActuators {
         self.drives.iter()
     }
 
-    /// Returns those that have an input: all but the [learned potentials](super::learned), which are the last.
+    /// Returns those that have an input: all but the [learned potentials](LearnedPart), which are the last.
     pub fn driven(&self) -> impl Iterator<Item = &Drive> {
         self.drives.iter().filter(|drive| !drive.is_learned)
     }
