@@ -425,7 +425,7 @@ fn releases_of_sorosim() {
     for reference in references() {
         for number in reference.releases {
             let release = reference.release(number);
-            let [coarse, fine] = [20, 40].map(|n| reference.release_error(n, 2e-3, &release));
+            let [coarse, fine] = [20, 40].map(|n| reference.release_error(n, 1e-3, &release));
             assert!(
                 fine < 3e-3 && fine < coarse,
                 "{}, {number}: {coarse:e}, {fine:e}",

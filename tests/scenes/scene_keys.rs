@@ -594,6 +594,19 @@ const SCENES: [&[&str]; 18] = [
         "braid.2.rest_pressure_pa=200.0",
         "braid.2.follows.name='mckibben'",
         "braid.2.follows.gain=1.0",
+        "learned.0.name='what the braid lacks'",
+        "learned.0.of=['mckibben']",
+        "learned.0.from=0.2",
+        "learned.0.to=0.5",
+        "learned.0.strains.0='toward'",
+        "learned.0.grid=[[-5.0, 5.0, 3.0]]",
+        "learned.0.weights=[1e-9, 0.0, 2e-9]",
+        "learned.1.strains.0='bend_1'",
+        "learned.1.centers=[[1.0], [2.0]]",
+        "learned.1.radii=[4.0]",
+        "learned.2.strains.0='twist'",
+        "learned.2.slopes=[[0.5], [-0.3]]",
+        "learned.2.offsets=[0.0, 0.1]",
         "time.end_s=0.5",
         "task.position_m=[0.02, 0.0, 0.29]",
     ],
@@ -953,6 +966,8 @@ fn every_key_can_be_set() {
     let mut leaves = leaves(&Scene::schema());
     // A file, whose rows take its place: tests/scenes/scene_paths.rs.
     leaves.remove("objective.track.0.path_csv");
+    // A file, whose numbers take its place: tests/verbs/learned.rs.
+    leaves.remove("learned.0.file");
     // A directory, whose state takes its place: tests/verbs/continued.rs.
     leaves.remove("initial.from");
     let mut given: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
