@@ -146,6 +146,17 @@ impl Keys<'_> {
         Ok(())
     }
 
+    /// Checks that the part of an arm that a section describes ends after its start.
+    pub fn part(&self, section: &str, [from, to]: [f64; 2]) -> Checked {
+        if to <= from {
+            let message = format!("{} does not come after from, {}", digits(to), digits(from));
+            return Err((self.source)
+                .error_at(&format!("{section}.to"), message, None)
+                .expecting("expected a larger fraction, up to 1 (tip)"));
+        }
+        Ok(())
+    }
+
     pub fn finite_number(&self, key: &str, value: f64) -> Checked {
         if !value.is_finite() {
             let message = format!("{value} is not a finite number");

@@ -647,13 +647,7 @@ impl Keys<'_> {
         let EffortKeys { section, index, .. } = own.effort;
         let key = |name: &str| format!("{section}.{index}.{name}");
         self.check_line(&format!("{section}.{index}"), own)?;
-        let [from, to] = own.span();
-        if to <= from {
-            let message = format!("{} does not come after from, {}", digits(to), digits(from));
-            return Err((self.source)
-                .error_at(&key("to"), message, None)
-                .expecting("expected a larger fraction, up to 1 (tip)"));
-        }
+        self.part(&format!("{section}.{index}"), own.span())?;
         if let Some(rows) = own.profile {
             self.table(&key(own.effort.profile.0), rows, "a constant effort")?;
         }

@@ -286,17 +286,8 @@ impl Keys<'_> {
             let section = format!("learned.{index}");
             self.check_strains(own, &section)?;
             self.check_functions(own, &section)?;
+            self.part(&section, [own.from.get(), own.to.get()])?;
             let key = |name: &str| format!("{section}.{name}");
-            if own.to.get() <= own.from.get() {
-                let message = format!(
-                    "{} does not come after from, {}",
-                    own.to.get(),
-                    own.from.get()
-                );
-                return Err((self.source)
-                    .error_at(&key("to"), message, None)
-                    .expecting("expected a larger fraction, up to 1 (tip)"));
-            }
             for (at, name) in own.of.iter().enumerate() {
                 let key = key(&format!("of.{at}"));
                 if own.of[..at].contains(name) {

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
-use super::super::values::{self, As, Fraction, NonNegative, Number, Profile, digits, known};
+use super::super::values::{self, As, Fraction, NonNegative, Number, Profile, known};
 use super::Scene;
 use crate::mechanics::{LoadFrame, Mesh, NodeInertia};
 use crate::task::{Arm, Place, PointLoad};
@@ -210,14 +210,7 @@ impl Keys<'_> {
         }
         for (index, load) in scene.distributed_load.iter().enumerate() {
             let key = |name: &str| format!("distributed_load.{index}.{name}");
-            if load.to <= load.from {
-                let [from, to] = [load.from, load.to].map(digits);
-                let message = format!("{to} does not come after from, {from}");
-                return Err(self
-                    .source
-                    .error_at(&key("to"), message, None)
-                    .expecting("expected a larger fraction, up to 1 (tip)"));
-            }
+            self.part(&format!("distributed_load.{index}"), [load.from, load.to])?;
             self.check_profile(&key("profile"), &load.profile)?;
         }
         Ok(())

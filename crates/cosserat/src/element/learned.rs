@@ -54,7 +54,7 @@ pub enum LearnedBasis {
 /// A learned density.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Learned {
-    /// LearnedStrains on which it depends.
+    /// Strains on which it depends.
     pub strains: LearnedStrains,
     /// `φ`
     pub basis: LearnedBasis,
@@ -147,8 +147,7 @@ impl Learned {
                 inverse_radii,
                 centers,
             } => {
-                let parts = (0..N_STRAINS).map(|i| (x[i] - centers[j][i]) * inverse_radii[i]);
-                let rho = parts.map(|part| part * part).sum::<f64>().sqrt();
+                let rho = square_distance(x, &centers[j], inverse_radii).sqrt();
                 let cut = (1.0 - rho).max(0.0);
                 cut.powi(6) * ((35.0 * rho + 18.0) * rho + 3.0) / 3.0
             }
@@ -170,13 +169,21 @@ impl Learned {
             LearnedBasis::Radial {
                 inverse_radii,
                 centers,
-            } => !centers.iter().any(|center| {
-                let parts = (0..N_STRAINS).map(|i| (x[i] - center[i]) * inverse_radii[i]);
-                parts.map(|part| part * part).sum::<f64>() < 1.0
-            }),
+            } => !(centers.iter()).any(|center| square_distance(x, center, inverse_radii) < 1.0),
             LearnedBasis::Ridge { .. } => false,
         }
     }
+}
+
+/// Returns `ρ²`.
+fn square_distance(
+    x: &[f64; N_STRAINS],
+    center: &[f64; N_STRAINS],
+    inverse_radii: &[f64; N_STRAINS],
+) -> f64 {
+    (0..N_STRAINS)
+        .map(|i| ((x[i] - center[i]) * inverse_radii[i]).powi(2))
+        .sum()
 }
 
 impl LearnedStrains {

@@ -618,6 +618,10 @@ impl RodActuators {
         self.drives.iter().filter(|drive| !drive.is_learned)
     }
 
+    fn driven_mut(&mut self) -> impl Iterator<Item = &mut Drive> {
+        self.drives.iter_mut().filter(|drive| !drive.is_learned)
+    }
+
     /// Returns the number of those that have an input.
     #[must_use]
     pub fn n_driven(&self) -> usize {
@@ -714,8 +718,7 @@ impl RodActuators {
     #[must_use]
     pub fn with_efforts_at(&self, ends: [(f64, &[f64]); 2]) -> Self {
         let mut out = self.clone();
-        let driven = out.drives.iter_mut().enumerate();
-        for (index, drive) in driven.filter(|(_, drive)| !drive.is_learned) {
+        for (index, drive) in out.driven_mut().enumerate() {
             drive.effort = ends.map(|(t, efforts)| (t, efforts[index])).to_vec();
         }
         out
@@ -731,8 +734,7 @@ impl RodActuators {
 
     /// Replaces the given inputs by constant ones.
     pub(super) fn give(&mut self, inputs: &[f64]) {
-        let driven = self.drives.iter_mut().zip(inputs);
-        for (drive, input) in driven.filter(|(drive, _)| !drive.is_learned) {
+        for (drive, input) in self.driven_mut().zip(inputs) {
             drive.effort = vec![(0.0, *input)];
         }
     }
