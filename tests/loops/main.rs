@@ -32,6 +32,7 @@ mod mpc_sensors;
 mod mpc_serving;
 mod mpc_serving_talk;
 mod mpc_subproblem;
+mod mpc_terminal;
 mod mpc_transfer;
 mod mpc_units;
 mod mpc_winches;

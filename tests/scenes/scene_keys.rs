@@ -173,6 +173,7 @@ const SCENES: [&[&str]; 18] = [
         "mpc.effort_from='zero'",
         "mpc.target_weight=1e5",
         "mpc.limit_price=1e3",
+        "mpc.terminal_cost=true",
         "mpc.iterations=2",
         "mpc.deadline_s=0.01",
         "mpc.duration_s=1.5",

@@ -28,7 +28,7 @@ use std::ops::ControlFlow;
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-pub use self::along::{ControlsAlong, held_at};
+pub use self::along::{ControlsAlong, HeldModes, held_at};
 use self::clearance::HeldLimits;
 use self::program::{Aim, Demand, HoldingPoint, HoldingProgram, NEARER};
 pub use self::statics::HeldTarget;

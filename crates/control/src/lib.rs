@@ -75,7 +75,7 @@ pub use held::Held;
 pub use hold::{ControlGrid, Hold};
 pub use holding::{CannotHold, Holding, HoldingError, NotFound, holding};
 #[doc(hidden)]
-pub use holding::{ControlsAlong, HeldTarget};
+pub use holding::{ControlsAlong, HeldModes, HeldTarget};
 #[doc(hidden)]
 pub use journal::{Listener, SearchEvent};
 pub use mechanics::solid::{Shape, SignedDistance};

@@ -94,6 +94,16 @@ impl SlowModes {
         self.n_slow / GROUP
     }
 
+    /// Returns the slow modes.
+    pub fn slow(&self) -> &[Mode] {
+        &self.modes[..self.n_slow]
+    }
+
+    /// Returns the diagonal of the inertia of every free node.
+    pub fn inertia(&self) -> &[Vector6<f64>] {
+        &self.inertia
+    }
+
     /// Returns the largest eigenvalue of the node's compliance, m/N.
     pub fn compliance(&self) -> f64 {
         self.compliance

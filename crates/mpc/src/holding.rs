@@ -19,7 +19,7 @@
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::beam::CLAMPED_STIFFNESS;
-use control::{ControlsAlong, HeldTarget, OptimalControlProblem, TIP_STIFFNESS};
+use control::{ControlsAlong, HeldModes, HeldTarget, OptimalControlProblem, TIP_STIFFNESS};
 use mechanics::beam::Beam;
 use mechanics::equilibrium::{NodeSpring, nearby_equilibrium_until};
 use mechanics::rotation::{exp, log};
@@ -84,6 +84,8 @@ pub(super) struct HeldControls {
     is_held: Vec<bool>,
     n: usize,
     spacing: f64,
+    /// The equilibrium at the end of the reference; `None` if nothing is held there.
+    last: Option<ControlsAlong>,
 }
 
 impl HeldControls {
@@ -109,6 +111,7 @@ impl HeldControls {
             is_held: Vec::new(),
             n,
             spacing,
+            last: None,
         };
         let mut before: Option<(ReferencePose, Option<Vec<f64>>)> = None;
         for i in 0..=(end / spacing).ceil() as usize {
@@ -146,7 +149,13 @@ impl HeldControls {
             }
             before = (rests || along == Along::All).then_some((target, numbers));
         }
+        out.last = (out.is_held.last() == Some(&true)).then_some(held);
         Some(out)
+    }
+
+    /// Returns the slow modes about the equilibrium at the end of the reference, at time `t` (s), for the node that is held there.
+    pub fn modes(&self, problem: &OptimalControlProblem, node: usize, t: f64) -> Option<HeldModes> {
+        self.last.as_ref()?.modes(problem, node, t)
     }
 
     /// Writes the controls at time `t` (s) that hold the model with `stiffness` times its own, under a wrench on its tip; where nothing is held,

@@ -12,6 +12,7 @@
 //! evaluated along every roll-out. `C` is effort and rate, `a` the control that acts when the horizon begins.
 
 mod columns;
+mod terminal;
 
 use std::sync::Arc;
 
@@ -20,9 +21,11 @@ use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
 use self::columns::{Columns, WinchSlopes};
+pub use self::terminal::TerminalCost;
 use super::command::{
     CommandedControl, ControlList, ControlOrder, ControlledPart, Controls, Effect,
 };
+use super::controller::MpcSettings;
 use super::error::MpcError;
 use super::estimator::{Disturbance, ModelParameters, Motions};
 use super::knots::Knots;
@@ -213,14 +216,12 @@ pub(super) struct Horizon {
 }
 
 impl Horizon {
-    /// Creates the horizon. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated limit, `None` if it
-    /// follows the multipliers, and `period` (s) that of the loop.
+    /// Creates the horizon of a controller with these settings, with the cost of what comes after it or without.
     pub fn new(
         mut problem: OptimalControlProblem,
         mut knots: Knots,
-        weight: f64,
-        price: Option<f64>,
-        period: f64,
+        settings: &MpcSettings,
+        terminal: Option<TerminalCost>,
     ) -> Result<Self, MpcError> {
         refuse_unsupported(&problem)?;
         let model = Arc::clone(&problem.rod);
@@ -250,7 +251,7 @@ impl Horizon {
         let trajectory = resting(&start, grid);
         let rows = {
             let whole = evaluated(&problem, (&trajectory, None), grid, &start);
-            Rows::new(&problem, &whole.states, weight, price, period, n_states)
+            Rows::new(&problem, &whole.states, settings, n_states, terminal)
         };
         let winches = WinchSlopes::of(&problem.rod, &on_strains, grid);
         let (sweep, pulls) = {
@@ -470,7 +471,7 @@ impl Horizon {
     }
 
     /// Returns the model without estimated errors.
-    pub fn model(&self) -> &Rod {
+    pub fn model(&self) -> &Arc<Rod> {
         &self.model
     }
 
@@ -590,9 +591,13 @@ impl Horizon {
         (self.sweep).sweep(&motion, &self.trajectory, &columns, forms)?;
         let n = self.knots.n_coefficients() * self.components.len();
         let n_rows = self.rows.present().len();
+        let last = n - self.components.len();
         for j in 0..n {
             let column = &mut self.jacobian.col_as_slice_mut(j)[..n_rows];
             self.rows.write_along_column(&self.sweep, j, column);
+            if let Some(component) = j.checked_sub(last) {
+                self.rows.add_along_last_control(component, column);
+            }
         }
         for i in 0..self.along_start.ncols() {
             let column = &mut self.along_start.col_as_slice_mut(i)[..n_rows];
@@ -679,6 +684,20 @@ impl Horizon {
         self.trajectory.positions_at(k)[node]
     }
 
+    /// Replaces the terminal cost, see [`Rows::replace_terminal`].
+    pub fn replace_terminal(&mut self, other: Option<TerminalCost>) {
+        self.rows.replace_terminal(other);
+    }
+
+    /// Notes the last control of a plan, and the one that costs no effort there, both scaled: the terminal cost counts from these.
+    pub fn note_end(&mut self, plan: &[f64], free: &[f64]) {
+        let n = self.components.len();
+        let last = (self.knots.n_coefficients() - 1) * n;
+        let model = (&*self.problem.rod, &self.disturbing[..]);
+        let controls = [plan, free].map(|all| &all[last..last + n]);
+        self.rows.note_end(model, controls, &self.end);
+    }
+
     /// Evaluates values and forms of all rows of the present horizon.
     fn evaluate_all(&mut self) {
         let acting = self.acting_grid();
@@ -714,5 +733,6 @@ fn evaluated<'a>(
         },
         grid,
         efforts,
+        end,
     }
 }

@@ -6,6 +6,8 @@
 
 use faer::Mat;
 
+use super::controller::MpcSettings;
+use super::horizon::TerminalCost;
 use super::limits::{LimitRow, Maxima, Prices, limit_rows};
 use super::soft_rows::SoftRows;
 use control::path::RodView;
@@ -14,7 +16,7 @@ use control::{GoalPart, OptimalControlProblem};
 use mechanics::forms::NODE_COMPONENTS;
 use mechanics::linearization::StateTangent;
 use mechanics::sensitivity::RepeatedReverse;
-use mechanics::{ControlSignal, StateForm, TimeGrid};
+use mechanics::{ControlSignal, Rod, State, StateForm, TimeGrid, Wrench};
 
 /// Number of terms of the form of a limit: six components of two nodes.
 const LIMIT_TERMS: usize = 12;
@@ -31,6 +33,8 @@ pub(super) struct Evaluated<'a> {
     pub grid: TimeGrid,
     /// Efforts of the plan at the time nodes.
     pub efforts: Option<&'a ControlSignal>,
+    /// The state in which the motion ends.
+    pub end: &'a State,
 }
 
 /// All rows of the longest horizon; those of the present one are the last.
@@ -42,6 +46,11 @@ pub(super) struct Rows {
     starts: Vec<usize>,
     row_forms: Vec<RowForms>,
     values: Vec<f64>,
+    /// The cost of what comes after the horizon, whose rows are the last ones, and the scaled control in which the plan ends; `None` for a plan
+    /// whose horizon is all.
+    terminal: Option<TerminalCost>,
+    terminal_counts: bool,
+    last_control: Vec<f64>,
     limits: Vec<LimitRow>,
     limit_forms: Vec<RowForms>,
     limit_values: Vec<f64>,
@@ -94,19 +103,17 @@ fn residuals(problem: &OptimalControlProblem, weight: f64) -> Vec<Residual> {
 }
 
 impl Rows {
-    /// Creates the rows. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated hard limit, `None` if
-    /// it follows the multipliers, and `period` (s) that of the loop.
+    /// Creates the rows of a controller with these settings, for a model with so many components of its state.
     pub fn new(
         problem: &OptimalControlProblem,
         states: &States,
-        weight: f64,
-        price: Option<f64>,
-        period: f64,
+        settings: &MpcSettings,
         n_states: usize,
+        terminal: Option<TerminalCost>,
     ) -> Self {
-        let residuals = residuals(problem, weight);
-        let prices = Prices::new(problem, price);
-        let limits = limit_rows(problem, &prices, period);
+        let residuals = residuals(problem, settings.target_weight);
+        let prices = Prices::new(problem, settings.limit_price);
+        let limits = limit_rows(problem, &prices, settings.period);
         let mut starts = Vec::with_capacity(residuals.len());
         // Time nodes of the forms of every row, the limits' last.
         let mut nodes: Vec<[Option<usize>; 2]> = Vec::new();
@@ -115,6 +122,9 @@ impl Rows {
             let n_rows = residual.kind.n_rows(&problem.rod);
             nodes.extend((0..n_rows).map(|_| [Some(residual.time_node), residual.before]));
         }
+        let n_residual_rows = nodes.len();
+        let n_terminal = terminal.as_ref().map_or(0, TerminalCost::len);
+        nodes.extend((0..n_terminal).map(|_| [Some(problem.grid.n_steps), None]));
         let n_rows = nodes.len();
         nodes.extend(limits.iter().map(|row| {
             let is_of_two = problem.path[row.limit].limit.n_instants() > 1;
@@ -132,7 +142,8 @@ impl Rows {
         for (form, &(time_node, row, instant)) in order.iter().enumerate() {
             row_forms[row][instant] = Some(form);
             let room = match row.checked_sub(n_rows) {
-                None => 0,
+                None if row < n_residual_rows => 0,
+                None => NODE_COMPONENTS * problem.rod.n_nodes(),
                 Some(row) if problem.path[limits[row].limit].limit.depends_on_inputs() => {
                     NODE_COMPONENTS * problem.rod.n_nodes()
                 }
@@ -154,6 +165,9 @@ impl Rows {
             passed: 0,
             first: First::default(),
             limits_along_start: Mat::zeros(limits.len(), n_states),
+            last_control: vec![0.0; problem.actuated_components().len()],
+            terminal,
+            terminal_counts: false,
             residuals,
             starts,
             row_forms,
@@ -235,8 +249,79 @@ impl Rows {
         for index in self.first.residual..self.residuals.len() {
             self.evaluate_residual(index, at);
         }
+        self.evaluate_terminal(at);
         for index in self.first.limit..self.limits.len() {
             self.evaluate_limit(index, at);
+        }
+    }
+
+    fn evaluate_terminal(&mut self, at: &Evaluated) {
+        let grid = &at.states.view.grid;
+        let end = grid.time(grid.n_steps);
+        self.terminal_counts = (self.terminal.as_ref()).is_some_and(|own| own.counts(end));
+        self.write_terminal_values(at.end);
+        let Some(terminal) = self.terminal.as_ref().filter(|_| self.terminal_counts) else {
+            return;
+        };
+        let forms = &mut self.forms;
+        let first = self.row_forms.len() - terminal.len();
+        for (row, own) in self.row_forms[first..].iter().enumerate() {
+            if let [Some(form), _] = own {
+                let terms = &mut forms[*form].terms;
+                terminal.write_slopes(row, at.end, &mut |term| terms.push(term));
+            }
+        }
+    }
+
+    fn write_terminal_values(&mut self, end: &State) {
+        let Some(terminal) = &self.terminal else {
+            return;
+        };
+        let first = self.values.len() - terminal.len();
+        for (row, value) in self.values[first..].iter_mut().enumerate() {
+            *value = if self.terminal_counts {
+                terminal.value(row, end, &self.last_control)
+            } else {
+                0.0
+            };
+        }
+    }
+
+    /// Notes the state and the scaled control in which the plan ends, and the control that costs no effort there for the model of `rod` with
+    /// wrenches on its nodes: terminal costs count from these.
+    pub fn note_end(
+        &mut self,
+        (rod, disturbing): (&Rod, &[Wrench]),
+        [last, free]: [&[f64]; 2],
+        end: &State,
+    ) {
+        if let Some(terminal) = &mut self.terminal {
+            terminal.move_to(rod, disturbing, free);
+            self.last_control.copy_from_slice(last);
+            self.write_terminal_values(end);
+        }
+    }
+
+    /// Replaces the terminal cost by that of another reference, of which as many rows count; with `None` nothing counts after the horizon. Without
+    /// effect on a controller without a terminal cost.
+    pub fn replace_terminal(&mut self, other: Option<TerminalCost>) {
+        if let Some(own) = &mut self.terminal {
+            let n = own.len();
+            *own = match other {
+                Some(other) => other.with_rows(n),
+                None => own.clone().that_never_counts(),
+            };
+        }
+    }
+
+    /// Adds the slopes of the terminal cost along a component of the last control to a column of the present residuals.
+    pub fn add_along_last_control(&self, component: usize, out: &mut [f64]) {
+        let Some(terminal) = self.terminal.as_ref().filter(|_| self.terminal_counts) else {
+            return;
+        };
+        let first = out.len() - terminal.len();
+        for (row, out) in out[first..].iter_mut().enumerate() {
+            *out += terminal.along_control(row, component);
         }
     }
 

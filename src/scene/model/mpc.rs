@@ -27,6 +27,7 @@ impl Default for Mpc {
             effort_from: settings.effort,
             target_weight: known(settings.target_weight),
             limit_price: None,
+            terminal_cost: settings.terminal_cost,
             iterations: settings.iterations,
             deadline_s: None,
             duration_s: None,
@@ -78,6 +79,10 @@ pub struct Mpc {
     /// Absent: the price of every limit follows the pull of the reference, so that the limit holds wherever the
     /// commands can keep it. With a number, a limit gives way where the cost saved exceeds the price.
     pub limit_price: Option<Positive<values::Weight>>,
+    /// Cost of what comes after the horizon: with true, a plan also costs all later tracking, effort and rates about the
+    /// equilibrium in which the reference comes to rest, so that a horizon of a few samples does as well as a long one.
+    /// The reference must come to rest where the arm can be held. Default: false.
+    pub terminal_cost: bool,
     /// Gauss-Newton iterations per sample, at least 1, default 1. They end early if the plan does not change any more.
     #[schemars(range(min = 1))]
     pub iterations: usize,
@@ -134,6 +139,7 @@ impl Mpc {
             effort: self.effort_from,
             target_weight: self.target_weight.get(),
             limit_price: self.limit_price.map(Number::get),
+            terminal_cost: self.terminal_cost,
             iterations: self.iterations,
             deadline: self.deadline_s.map(Number::get),
             ..MpcSettings::receding(horizon)

@@ -10,6 +10,7 @@ use crate::problem::{Component, OptimalControlProblem};
 use mechanics::Configuration;
 use mechanics::equilibrium::NodeSpring;
 use mechanics::forces::NodalForces;
+use mechanics::slow_modes::SlowModes;
 use mechanics::tangent::own_squared_frequency;
 
 /// An equilibrium that is led along a reference.
@@ -124,6 +125,39 @@ impl ControlsAlong {
             bearing,
             stiffening,
             is_stable: held.is_stable,
+        })
+    }
+}
+
+/// The slow modes about an equilibrium that controls hold.
+#[derive(Clone, Debug)]
+pub struct HeldModes {
+    /// The equilibrium.
+    pub shape: Configuration,
+    /// Scaled controls that hold it.
+    pub controls: Vec<f64>,
+    /// Coefficient of the problem's controls.
+    pub coefficient: Vec<f64>,
+    /// The modes, with nearly all of the compliance of the node that is held.
+    pub modes: SlowModes,
+    /// Derivative of the forces and moments on every free node along every control.
+    pub columns: Vec<Vec<Vector6<f64>>>,
+}
+
+impl ControlsAlong {
+    /// Returns the slow modes about the present equilibrium, under the loads of time `t` (s), for a node of the rod; `None` where the tangent
+    /// stiffness is not positive definite.
+    #[must_use]
+    pub fn modes(&self, problem: &OptimalControlProblem, node: usize, t: f64) -> Option<HeldModes> {
+        let statics = statics_at(problem, t);
+        let HoldingPoint { controls, shape } = &self.point;
+        let tangent = statics.tangent(shape, controls, &NodeSpring::default());
+        Some(HeldModes {
+            modes: SlowModes::about(&problem.rod, (shape, node), tangent, statics.unit)?,
+            columns: statics.columns(shape, controls),
+            coefficient: statics.coefficient(controls),
+            controls: controls.clone(),
+            shape: shape.clone(),
         })
     }
 }

@@ -109,8 +109,7 @@ impl Controller {
         };
         check_rows(path, |x| x.iter().all(|c| c.is_finite()))?;
         self.horizon.follow(track, path);
-        self.hold_anew();
-        Ok(())
+        self.hold_anew()
     }
 
     /// Replaces the rotations of the first track that has some, as [`Self::follow`] replaces a path: increasing times in s, and rotations,
@@ -131,8 +130,7 @@ impl Controller {
         };
         check_rows(rotations, |r| r.iter().all(|c| c.is_finite()))?;
         self.horizon.turn(track, rotations);
-        self.hold_anew();
-        Ok(())
+        self.hold_anew()
     }
 
     /// Returns the names of the task's obstacles.
@@ -174,10 +172,19 @@ impl Controller {
     }
 
     /// Computes the wrench that holds the tip anew, for a reference at one place; statics along a path take longer than a sample.
-    fn hold_anew(&mut self) {
+    fn hold_anew(&mut self) -> Result<(), MpcError> {
         self.holding = None;
         if self.is_reference_at_rest() {
             self.count_from_holding();
         }
+        if self.settings.terminal_cost {
+            let terminal = self.terminal_cost();
+            self.horizon.replace_terminal(terminal);
+            // The slopes of the rows are others, too.
+            self.horizon.roll_out(&self.plan)?;
+            self.horizon.linearize()?;
+            self.condense()?;
+        }
+        Ok(())
     }
 }

@@ -51,6 +51,9 @@ impl Controller {
         controller.horizon.stop = stop.clone();
         controller.count_from_holding();
         stop.check()?;
+        if settings.terminal_cost {
+            controller.see_beyond_the_horizon()?;
+        }
         controller.horizon.place(settings.start, settings.due);
         controller
             .before_knots
@@ -58,6 +61,21 @@ impl Controller {
         controller.settle(FIRST)?;
         controller.horizon.stop = StopSignal::default();
         Ok(controller)
+    }
+
+    /// Gives plans the cost of what comes after the horizon.
+    fn see_beyond_the_horizon(&mut self) -> Result<(), MpcError> {
+        let Some(terminal) = self.terminal_cost() else {
+            return Err(MpcError::Unsupported(
+                "a terminal cost needs a reference that comes to rest where controls within their bounds hold the arm in a stable equilibrium, \
+                 a horizon that recedes for ever, effort that counts from what holds the arm, and an objective of tracks alone; leave it out",
+            ));
+        };
+        let (problem, knots) = (self.horizon.problem.clone(), self.horizon.knots.clone());
+        let stop = self.horizon.stop.clone();
+        self.horizon = Horizon::new(problem, knots, &self.settings, Some(terminal))?;
+        self.horizon.stop = stop;
+        Ok(())
     }
 
     /// Allocates the memory of a controller.
@@ -69,13 +87,7 @@ impl Controller {
             knots,
             in_period,
         } = one;
-        let horizon = Horizon::new(
-            problem,
-            knots.clone(),
-            settings.target_weight,
-            settings.limit_price,
-            settings.period,
-        )?;
+        let horizon = Horizon::new(problem, knots.clone(), &settings, None)?;
         let (n, n_components) = (horizon.n_variables(), horizon.components.len());
         let lags = lags(&horizon);
         // Bound and rate of every coefficient; where there is a lag, a bound at either end of the block before it.

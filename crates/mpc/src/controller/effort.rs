@@ -1,10 +1,13 @@
 //! The reference of the node that follows one, and the control from which effort is measured.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Controller, EffortFrom};
 use crate::command::{ControlledPart, Effect};
 use crate::holding::{Along, HeldControls, HoldingWrenches, ReferencePose};
+use crate::horizon::TerminalCost;
 use control::{Channel, ControlsAlong, OptimalControlProblem, Tracking};
 use mechanics::Wrench;
 use mechanics::direction::Deviation;
@@ -147,7 +150,7 @@ impl Controller {
 
     /// Returns the controls that hold the node along its reference.
     fn held(&self, along: Along) -> Option<HeldControls> {
-        let problem = &self.horizon.problem;
+        let problem = &self.undisturbed();
         let node = followed(problem);
         let reference = |t: f64| ReferencePose {
             direction: self.reference_direction(t),
@@ -181,7 +184,7 @@ impl Controller {
             _ => None,
         };
         let there: Vec<(usize, f64)> = horizon.effects.iter().map(alone).collect::<Option<_>>()?;
-        let of = (self.rod(), node);
+        let of = (&**horizon.model(), node);
         let led = HoldingWrenches::along(of, start, |_| reference, [1.0, 0.0], &horizon.stop)?;
         let wrench = led.wrench(0.0).to_array();
         let controls = (there.iter().zip(&horizon.scales))
@@ -269,6 +272,24 @@ impl Controller {
                 Some(held) => held.write(t, self.stiffness, &self.disturbing, others, out),
                 None => out.copy_from_slice(others),
             }
+        }
+        self.horizon.note_end(&self.plan, &self.free);
+    }
+
+    /// Returns the cost of what comes after the horizon, where the reference comes to rest and is held.
+    pub(super) fn terminal_cost(&self) -> Option<TerminalCost> {
+        let (problem, end) = (&self.undisturbed(), self.reference_end());
+        let held = self.holding.as_ref()?;
+        let modes = held.modes(problem, self.followed(), end)?;
+        let (block, scales) = (self.settings.block, &self.horizon.scales);
+        TerminalCost::of(problem, &modes, end, self.weights, block, scales)
+    }
+
+    /// Returns the problem with the model without estimated errors, from which these change what holds the arm.
+    fn undisturbed(&self) -> OptimalControlProblem {
+        OptimalControlProblem {
+            rod: Arc::clone(self.horizon.model()),
+            ..self.horizon.problem.clone()
         }
     }
 }

@@ -45,6 +45,9 @@ pub struct MpcSettings {
     /// because of a limit. `None`: the price follows the multipliers of the limit, and the limit holds wherever controls within their bounds
     /// can keep it. With a number, the controller violates a limit if the cost saved exceeds the price.
     pub limit_price: Option<f64>,
+    /// Tells whether a plan also costs what comes after the horizon: the least cost of all later tracking, effort and rates about the
+    /// equilibrium in which the reference, which comes to rest, is held. A horizon of a few samples then does as well as a long one.
+    pub terminal_cost: bool,
     /// Gauss-Newton iterations per sample, at least 1; fewer if the plan no longer changes.
     pub iterations: usize,
     /// Time after which [feedback](super::Controller::feedback) should have its command: no further iteration begins that would end later
@@ -74,6 +77,7 @@ impl MpcSettings {
             effort: EffortFrom::Auto,
             target_weight: 1e4,
             limit_price: None,
+            terminal_cost: false,
             iterations: 1,
             deadline: None,
             subproblem_iterations: 40,
