@@ -10,7 +10,7 @@ use std::sync::atomic::Ordering;
 
 use nalgebra::{Matrix3, Vector3};
 use softarm::control::path::{PathEnforcement, RodView};
-use softarm::control::{Bound, Hold, Shape};
+use softarm::control::{Bound, ControlsAlong, Hold, Shape};
 use softarm::mechanics::{Material, Rod, TimeGrid, Trajectory, kinetic_energy};
 use softarm::mpc::{
     ActuatorDynamics, ClosedLoop, Experiment, FallbackSettings, KalmanFilter, Knowledge,
@@ -168,8 +168,8 @@ struct Seen {
     away: [f64; 2],
     /// Kinetic energy at that time, and largest one in the last tenth of the run, J.
     energies: [f64; 2],
-    /// Largest time of a preparation, s.
-    slowest: f64,
+    /// Time of the preparation in which a stop is sought, s.
+    sought: f64,
 }
 
 /// Runs a loop; `see` sees every sample.
@@ -186,7 +186,7 @@ fn seen(
         left: Vector3::zeros(),
         away: [0.0; 2],
         energies: [0.0; 2],
-        slowest: 0.0,
+        sought: 0.0,
     };
     let mut left: Option<Vector3<f64>> = None;
     let n = (END / scene.mpc.period) as usize;
@@ -195,11 +195,13 @@ fn seen(
         let energy = kinetic_energy(&rod, &closed.arm().state());
         if sample.t >= DEATH {
             out.excess = out.excess.max(excess(closed, &radii));
-            out.slowest = out.slowest.max(sample.prepare_s);
         }
         let tip = Vector3::from(sample.tip);
         if let Some((_, action)) = sample.fallback {
             let action = action.to_string();
+            if action == "plan" {
+                out.sought = sample.prepare_s;
+            }
             if action != "plan" && left.is_none() {
                 (left, out.energies[0]) = (Some(tip), energy);
             }
@@ -224,7 +226,7 @@ fn seen(
         out.away[1],
         out.energies[0],
         out.energies[1],
-        1e3 * out.slowest
+        1e3 * out.sought
     );
     out
 }
@@ -289,11 +291,20 @@ fn damped_arms_stop_too() {
     let mut scene = above_a_table(Hold::Linear);
     let switch = broken(&mut scene.task);
     let rod = scene.plant.rod(&scene.discretization).unwrap();
-    let mut closed = blinded(&scene, &rod, soon());
-    closed.tamper(Box::new(|_| true));
-    let found = seen(&scene, &mut closed, &mut |sample, _| {
-        switch.store(sample.t >= DEATH, Ordering::Relaxed);
-    });
+    let run = |stops: bool| {
+        switch.store(false, Ordering::Relaxed);
+        let fallback = FallbackSettings {
+            stops: Some(stops),
+            ..soon()
+        };
+        let mut closed = blinded(&scene, &rod, fallback);
+        closed.tamper(Box::new(|_| true));
+        seen(&scene, &mut closed, &mut |sample, _| {
+            switch.store(sample.t >= DEATH, Ordering::Relaxed);
+        })
+    };
+    assert!(run(false).excess > 0.05);
+    let found = run(true);
     assert!(found.actions["damping"] == 50 && found.actions["stop"] > 300);
     assert!(found.excess < 0.0, "{}", found.excess);
     assert!(found.away[1] < 0.02, "{}", found.away[1]);
@@ -333,6 +344,44 @@ fn tendons_stop_an_arm() {
     assert!(found.actions["stop"] > 300);
     assert!(found.away[1] < 5e-3, "{}", found.away[1]);
     assert!(found.energies[1] < 1e-3 * found.energies[0]);
+}
+
+/// The rest nearest to a place under the table lies as far above it as is kept from limits where there is room. A column that buckles under its
+/// weight is at rest upright, stably, by a force that pulls it up, and without that only where it hangs, if at all.
+#[test]
+fn rests_keep_limits_and_are_stable() {
+    let scene = above_a_table(Hold::Linear);
+    let rest = |scene: &Experiment, place: Vector3<f64>| {
+        let found = scene.task.discretize(&scene.arm, &scene.discretization);
+        let problem = found.unwrap().discrete;
+        let tip = problem.rod.tip();
+        let held = ControlsAlong::new(&problem).rest(&problem, (tip, place), 0.0)?;
+        assert!(held.is_stable && held.is_within_bounds() && held.crosses.is_none());
+        Some((
+            held.shape.positions[tip],
+            problem.wrenches(&held.controls)[0].force,
+        ))
+    };
+    // Where an arm of this length is bent by so much, up to the fourth power.
+    let place = |z: f64| Vector3::new(1.0 - 0.6 * (0.05f64.powi(2) + z * z), 0.05, z);
+    let (free, _) = rest(&scene, place(-0.03)).unwrap();
+    assert!((free - place(-0.03)).norm() < 2e-3, "{free}");
+    // The arm has a radius of 5 cm.
+    let (pressed, _) = rest(&scene, place(-0.09)).unwrap();
+    assert!((-0.05..-0.04).contains(&pressed.z), "{pressed}");
+    let mut column = above_a_table(Hold::Linear);
+    column.arm.base_rotation = Matrix3::identity();
+    let material = Material::isotropic(1.2e6, 0.5, 1000.0);
+    column.arm.section = Arm::cylinder(&material, 1.0, 0.05).section;
+    let upright = Vector3::new(0.0, 0.0, 0.99);
+    let (tip, force) = rest(&column, upright).unwrap();
+    assert!(tip.xy().norm() < 1e-3 && force.z > 5.0, "{tip} {force}");
+    let across = Vector3::new(FORCE, FORCE, 0.0);
+    column.task.actuators[0].force.bound = Some(Bound::PerAxis(across));
+    column.task.limits.clear();
+    if let Some((tip, _)) = rest(&column, upright) {
+        assert!(tip.z < 0.9, "{tip}");
+    }
 }
 
 /// A load at the tip that the model does not know, and a filter finds, belongs to what the stop holds.
