@@ -5,7 +5,10 @@ use nalgebra::{DMatrix, Vector3, Vector6};
 use super::clearance::HeldLimits;
 use super::program::{Aim, Demand, HoldingPoint, LITTLE, NEARER};
 use super::statics::{HeldTarget, HoldingStatics};
-use super::{CLEARANCES, LEAST_STABILITY, MOST_CONTROLS, MOST_ELEMENTS, Search, end_moves_after};
+use super::{
+    CLEARANCES, LEAST_STABILITY, MOMENT_WEIGHTS, MOST_CONTROLS, MOST_ELEMENTS, Search,
+    end_moves_after,
+};
 use crate::held::Held;
 use crate::problem::{Component, OptimalControlProblem};
 use mechanics::Configuration;
@@ -134,7 +137,8 @@ impl ControlsAlong {
     /// node is as near to the position `place` (m) as that allows, and under controls of little size: a minimum of `½|c|² + ½ε|u|²` with the
     /// distance `c` in units of the length, from this point on. Loads, driven ends and obstacles are those of time `t` (s).
     ///
-    /// Stability and limits become constraints once an equilibrium misses them. `None` if none is found that obeys all, without controls,
+    /// Controls without a potential, moments, are as small as that allows, because motions may grow under them. Limits become constraints
+    /// once an equilibrium misses them, and so does stability unless there are moments, whose growth takes long to compute. `None` if none is found that obeys all, without controls,
     /// where nothing holds the arm, where a driven end still moves, and where the search would take too long.
     #[must_use]
     pub fn rest(
@@ -165,12 +169,15 @@ impl ControlsAlong {
             },
             start: self.point.shape.clone(),
         };
-        let mut demand = Demand::of(Aim::Approach { weight: 1.0 });
+        let mut demand = Demand {
+            moment_weight: MOMENT_WEIGHTS[MOMENT_WEIGHTS.len() - 1],
+            ..Demand::of(Aim::Approach { weight: 1.0 })
+        };
         let mut clearances = CLEARANCES.into_iter();
         let mut point = self.point.clone();
         loop {
             // Where the limits leave no room for a distance from them, the next one is tried from the same point.
-            let found = search.solve(&demand, &point);
+            let found = search.solve_within(REST_ITERATIONS, &demand, &point);
             let held = match &found {
                 Some(found) => Some(search.held(found)?),
                 None if demand.clearance.is_some() => None,
@@ -180,7 +187,8 @@ impl ControlsAlong {
             match held {
                 Some(held) if !held.is_within_bounds() => return None,
                 Some(held) if !held.is_stable => {
-                    if demand.stability.replace(LEAST_STABILITY).is_some() {
+                    let is_tried = demand.stability.replace(LEAST_STABILITY).is_some();
+                    if is_tried || statics.has_moments() {
                         return None;
                     }
                 }
@@ -256,6 +264,8 @@ fn bearing(
 /// Weight of the controls' change with the stiffness, far below [`LITTLE`]: without gravity the controls that hold a shape are in proportion
 /// to the stiffness, also those that hardly move the node.
 const LEAST: f64 = 1e-4 * LITTLE;
+/// Cap on the iterations of each program of a rest, for which a loop waits.
+const REST_ITERATIONS: usize = 20;
 /// Distance from a bound, in units of a control's scale, below which the control counts as being at it: an interior-point method leaves as
 /// much.
 const AT_A_BOUND: f64 = 1e-4;

@@ -8,6 +8,10 @@ use super::Controller;
 use control::ControlsAlong;
 use mechanics::{Configuration, Load, LoadFrame};
 
+/// Largest distance of a node of the equilibrium from where it is, divided by the length: a shape in flight that bends otherwise than one at
+/// rest with the node at the same place is not near it, and what holds that node there may be strong.
+const NEAR: f64 = 0.05;
+
 /// Scaled controls, and a shape that the arm has under them, at rest or nearly.
 #[derive(Clone, Debug)]
 pub(in super::super) struct Under {
@@ -31,7 +35,7 @@ impl Controller {
 
     /// Returns scaled controls under which the model has a stable equilibrium within the bounds, the obstacles and the limits, with the node
     /// that follows as near as possible to where it is in a shape; see [`ControlsAlong::rest`]. The model has the estimated disturbance, and
-    /// loads and obstacles are those of time `t` (s). `None` if none is found.
+    /// loads and obstacles are those of time `t` (s). `None` if none is found that is near the shape.
     pub(in super::super) fn stop_near(&self, present: &Under, t: f64) -> Option<Vec<f64>> {
         let horizon = &self.horizon;
         let mut problem = horizon.problem.clone();
@@ -55,6 +59,11 @@ impl Controller {
         let place = *present.shape.positions.get(node)?;
         let from = ControlsAlong::from(present.controls.clone(), present.shape.clone());
         let held = from.rest(&problem, (node, place), t)?;
+        let room = NEAR * problem.rod.scales.length;
+        let mut pairs = held.shape.positions.iter().zip(&present.shape.positions);
+        if !pairs.all(|(there, here)| (there - here).norm() < room) {
+            return None;
+        }
         let scaled = (horizon.components.iter().zip(&horizon.scales))
             .map(|(component, scale)| held.controls[component.index] / scale);
         Some(scaled.collect())
