@@ -31,6 +31,7 @@ mod mpc_poses;
 mod mpc_sensors;
 mod mpc_serving;
 mod mpc_serving_talk;
+mod mpc_stopping;
 mod mpc_subproblem;
 mod mpc_terminal;
 mod mpc_transfer;

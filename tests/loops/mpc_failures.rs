@@ -39,7 +39,7 @@ impl StateTerm for Broken {
 }
 
 /// Adds the broken cost to a task, and returns its switch.
-fn broken(task: &mut Task) -> Arc<AtomicBool> {
+pub fn broken(task: &mut Task) -> Arc<AtomicBool> {
     let switch = Arc::<AtomicBool>::default();
     task.cost.terms.push(StateCost {
         term: SharedTerm::new(Broken(switch.clone())),
@@ -165,7 +165,7 @@ fn forced_failures_are_survived() {
             .filter(|((cause, own), _)| *cause == wanted && own == action);
         found.map(|(_, n)| *n).sum::<usize>()
     };
-    for action in ["plan", "damping", "ramp"] {
+    for action in ["plan", "damping", "stop"] {
         assert!(of(Cause::Subproblem, action) > 0, "{action}: {causes:?}");
     }
     assert!(worst < 0.01, "{worst}");

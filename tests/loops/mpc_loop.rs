@@ -332,7 +332,7 @@ fn loops_survive_their_sensors() {
         }
     }
     assert!(found.contains(&(Cause::NoMeasurement, Action::Plan.to_string())));
-    assert!(found.contains(&(Cause::NoMeasurement, Action::Ramp.to_string())));
+    assert!(found.contains(&(Cause::NoMeasurement, Action::Stop.to_string())));
     assert!(found.contains(&(Cause::BadMeasurement, Action::Plan.to_string())));
     let quiet = samples.iter().filter(|sample| sample.t > 6.0);
     let worst = quiet.fold(0.0f64, |worst, sample| worst.max(sample.tip_error()));
@@ -501,7 +501,7 @@ fn settings_are_checked() {
     wrong.actuators.force_max = 0.0;
     assert!(name(&wrong).starts_with("force_max"));
     let mut wrong = scene();
-    wrong.settings.fallback.ramp = 0.0;
+    wrong.settings.fallback.ramp = Some(0.0);
     assert!(name(&wrong).starts_with("fallback.ramp"));
 }
 

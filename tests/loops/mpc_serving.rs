@@ -297,7 +297,7 @@ fn wrong_lines_do_not_make_commands_jump() {
             watch.worst, watch.n_active
         );
         assert!(watch.worst < ROUNDING, "{hold:?} {rate:?}: {}", watch.worst);
-        assert!(n_repeated == 1 && causes.contains("plan") && causes.contains("ramp"));
+        assert!(n_repeated == 1 && causes.contains("plan") && causes.contains("stop"));
         assert!(watch.n_active > 10);
         let line = desk.command(&state_line(3.0, &arm.state_on_model()));
         assert!(line["fallback"].is_null());

@@ -123,20 +123,28 @@ fn bad_lines_are_answered() {
     assert_eq!(served.fallbacks["bad-measurement"], n);
 }
 
-/// Only bad lines: the plan, then the ramp to nothing. A plant that is measured again has a command of its own.
+/// Only bad lines: the plan, then the stop, whose command stays after its ramp. A plant that is measured again has a command of its own.
 #[test]
 fn fallbacks_follow_each_other() {
     let mut desk = Desk::new(&scene());
     let first = desk.initial(0.0);
     desk.command(&first);
-    let actions: Vec<String> = (0..80)
+    let answers: Vec<Value> = (0..80)
         .map(|_| {
             let [_, command] = desk.error("?");
-            command["fallback"]["action"].as_str().unwrap().to_string()
+            command
         })
         .collect();
-    assert!(actions[..10].iter().all(|action| action == "plan"));
-    assert!(actions[10..].iter().all(|action| action == "ramp"));
+    let are = |answers: &[Value], action: &str| {
+        (answers.iter()).all(|command| command["fallback"]["action"] == action)
+    };
+    assert!(are(&answers[..10], "plan") && are(&answers[10..], "stop"));
+    let ended = command_of(&answers[60]).to;
+    assert!(
+        answers[61..]
+            .iter()
+            .all(|command| command_of(command).to == ended)
+    );
     let back = desk.initial(0.81);
     assert!(desk.command(&back)["fallback"].is_null());
 }
@@ -197,11 +205,13 @@ fn clocks_may_be_wrong() {
         (&json!(4), &json!(8))
     );
     assert!(command["fallback"].is_null());
-    // Neither state nor plan after another gap: the last command goes to nothing.
+    // Neither state nor plan after another gap: the last command stays until it is known where the arm may stop.
     let [_, command] = desk.error("{\"type\":\"measurement\",\"time_s\":0.2}");
-    assert_eq!(command["fallback"]["action"], "ramp");
+    assert_eq!(command["fallback"]["action"], "hold");
     assert_eq!(command["skipped_samples"], 11);
-    let line = desk.initial(0.21);
+    let [_, command] = desk.error("{\"type\":\"measurement\",\"time_s\":0.21}");
+    assert_eq!(command["fallback"]["action"], "stop");
+    let line = desk.initial(0.22);
     assert!(desk.command(&line)["fallback"].is_null());
 }
 

@@ -187,6 +187,7 @@ const SCENES: [&[&str]; 18] = [
         "mpc.fallback.patience_s=0.2",
         "mpc.fallback.plan_samples=5",
         "mpc.fallback.damping_samples=20",
+        "mpc.fallback.stop=true",
         "mpc.fallback.ramp_s=0.4",
         "mpc.fallback.hold=true",
         "mpc.fallback.damping=0.7",

@@ -632,9 +632,19 @@ impl Search<'_> {
 
     /// Returns a solution of the program; `None` if none was found.
     fn solve(&self, demand: &Demand, from: &HoldingPoint) -> Option<HoldingPoint> {
+        self.solve_within(ITERATIONS, demand, from)
+    }
+
+    /// Returns a solution of the program, or the point after so many iterations if it meets all requirements but that of least cost.
+    fn solve_within(
+        &self,
+        iterations: usize,
+        demand: &Demand,
+        from: &HoldingPoint,
+    ) -> Option<HoldingPoint> {
         let program = HoldingProgram::new(self.statics, self.target, *demand);
         let settings = SqpSettings {
-            max_iterations: ITERATIONS,
+            max_iterations: iterations,
             // A shape that determines its controls leaves nothing to the curvature.
             hessian: if demand.is_bounded {
                 HessianChoice::Auto

@@ -10,6 +10,7 @@ mod parts;
 mod settings;
 mod step_length;
 mod steps;
+mod stopping;
 
 use std::time::Instant;
 
@@ -21,6 +22,7 @@ pub use self::parts::ControllerParts;
 pub use self::settings::{EffortFrom, MpcSettings};
 use self::steps::Divided;
 pub use self::steps::with_long_steps;
+pub(super) use self::stopping::Under;
 use super::command::{Command, CommandedControl, Controls};
 use super::error::MpcError;
 use super::estimator::Motions;
@@ -110,12 +112,14 @@ pub struct Controller {
 }
 
 /// The aim of a command that does not come from a plan.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Aim {
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Aim<'a> {
     /// The given wrench at [the node that follows](Controller::followed), as far as it is actuated, and no wrench elsewhere.
     Follow(Wrench),
-    /// A fraction of the wrenches that act.
-    Part(f64),
+    /// The controls that act.
+    Hold,
+    /// Scaled controls at the beginning and at the end of the command, and a wrench at the node that follows besides.
+    Course([&'a [f64]; 2], Wrench),
     /// The wrenches that hold the arm where it stays, and cancel the disturbance.
     Stay,
 }
@@ -301,19 +305,18 @@ impl Controller {
         let horizon = &self.horizon;
         for (c, (component, scale)) in (horizon.components.iter().zip(&horizon.scales)).enumerate()
         {
-            let acting = self.acting[c];
+            let of_wrench = |wrench: Wrench| match horizon.problem.of_wrench(component) {
+                Some((node, component)) if node == followed => wrench[component] / scale,
+                _ => 0.0,
+            };
             (wanted.from[c], wanted.to[c]) = match aim {
-                Aim::Follow(wrench) => {
-                    let value = match horizon.problem.of_wrench(component) {
-                        Some((node, component)) if node == followed => wrench[component] / scale,
-                        _ => 0.0,
-                    };
-                    (value, value)
+                Aim::Follow(wrench) => (of_wrench(wrench), of_wrench(wrench)),
+                Aim::Hold => (self.acting[c], self.acting[c]),
+                Aim::Course([from, to], wrench) => {
+                    let is_constant = horizon.knots.hold() == Hold::Constant;
+                    let from = if is_constant { to } else { from };
+                    (from[c] + of_wrench(wrench), to[c] + of_wrench(wrench))
                 }
-                Aim::Part(part) if horizon.knots.hold() == Hold::Constant => {
-                    (part * acting, part * acting)
-                }
-                Aim::Part(part) => (acting, part * acting),
                 Aim::Stay => {
                     let held = (horizon.problem.stay.as_ref())
                         .map_or(0.0, |stay| stay.controls[component.index] / scale);

@@ -1,11 +1,15 @@
 //! The controls that hold a node along a reference, from one pose to the next.
 
-use nalgebra::{DMatrix, Vector6};
+use nalgebra::{DMatrix, Vector3, Vector6};
 
 use super::clearance::HeldLimits;
 use super::program::{Aim, Demand, HoldingPoint, LITTLE, NEARER};
 use super::statics::{HeldTarget, HoldingStatics};
-use super::{MOST_CONTROLS, MOST_ELEMENTS, Search};
+use super::{
+    CLEARANCES, LEAST_STABILITY, MOMENT_WEIGHTS, MOST_CONTROLS, MOST_ELEMENTS, Search,
+    end_moves_after,
+};
+use crate::held::Held;
 use crate::problem::{Component, OptimalControlProblem};
 use mechanics::Configuration;
 use mechanics::equilibrium::NodeSpring;
@@ -160,6 +164,72 @@ impl ControlsAlong {
             shape: shape.clone(),
         })
     }
+
+    /// Returns a stable equilibrium under constant controls within their bounds, clear of the obstacles and limits of the problem, whose
+    /// node is as near to the position `place` (m) as that allows, and under controls of little size: a minimum of `½|c|² + ½ε|u|²` with the
+    /// distance `c` in units of the length, from this point on. Loads, driven ends and obstacles are those of time `t` (s).
+    ///
+    /// Controls without a potential, moments, are as small as that allows, because motions may grow under them. Limits become constraints
+    /// once an equilibrium misses them, and so does stability unless there are moments, whose growth takes long to compute. `None` if none is
+    /// found that obeys all, without controls, where nothing holds the arm, where a driven end still moves, and where the search would take
+    /// too long.
+    #[must_use]
+    pub fn rest(
+        &self,
+        problem: &OptimalControlProblem,
+        (node, place): (usize, Vector3<f64>),
+        t: f64,
+    ) -> Option<Held> {
+        let rod = &problem.rod;
+        let n_controls = problem.actuated_components().len();
+        let is_small =
+            rod.n_elements() <= MOST_ELEMENTS && (1..=MOST_CONTROLS).contains(&n_controls);
+        let moves = |end: usize| end_moves_after(rod, end, t).is_some();
+        if !(is_small && rod.is_held()) || rod.may_spin() || moves(0) || moves(rod.tip()) {
+            return None;
+        }
+        let mut problem = problem.clone();
+        // The limits of an equilibrium are those at the end of the horizon.
+        problem.grid.start = t - problem.grid.duration();
+        let statics = statics_at(&problem, t);
+        let search = Search {
+            limits: HeldLimits::of(&problem),
+            statics: &statics,
+            target: HeldTarget {
+                node,
+                position: Some(place),
+                ..HeldTarget::default()
+            },
+            start: self.point.shape.clone(),
+        };
+        let mut demand = Demand {
+            moment_weight: MOMENT_WEIGHTS[MOMENT_WEIGHTS.len() - 1],
+            ..Demand::of(Aim::Approach { weight: 1.0 })
+        };
+        let mut clearances = CLEARANCES.into_iter();
+        let mut point = self.point.clone();
+        loop {
+            // Where the limits leave no room for a distance from them, the next one is tried from the same point.
+            let found = search.solve_within(REST_ITERATIONS, &demand, &point);
+            let held = match &found {
+                Some(found) => Some(search.held(found)?),
+                None if demand.clearance.is_some() => None,
+                None => return None,
+            };
+            point = found.unwrap_or(point);
+            match held {
+                Some(held) if !held.is_within_bounds() => return None,
+                Some(held) if !held.is_stable => {
+                    let is_tried = demand.stability.replace(LEAST_STABILITY).is_some();
+                    if is_tried || statics.has_moments() {
+                        return None;
+                    }
+                }
+                Some(held) if held.crosses.is_none() => return Some(held),
+                _ => demand.clearance = Some(clearances.next()?),
+            }
+        }
+    }
 }
 
 /// Returns the changes of the controls that are not at their bounds by which the node of the target stays where it is under each component
@@ -227,6 +297,8 @@ fn bearing(
 /// Weight of the controls' change with the stiffness, far below [`LITTLE`]: without gravity the controls that hold a shape are in proportion
 /// to the stiffness, also those that hardly move the node.
 const LEAST: f64 = 1e-4 * LITTLE;
+/// Cap on the iterations of each program of a rest, for which a loop waits.
+const REST_ITERATIONS: usize = 20;
 /// Distance from a bound, in units of a control's scale, below which the control counts as being at it: an interior-point method leaves as
 /// much.
 const AT_A_BOUND: f64 = 1e-4;

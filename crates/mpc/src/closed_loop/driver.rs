@@ -127,7 +127,7 @@ impl Driver {
         Ok(Self {
             predictor: Predictor::new(model, controller.model_step()),
             tip_law,
-            fallback: Fallback::new(model, settings.fallback),
+            fallback: Fallback::new(&controller, settings.fallback),
             inbox: Inbox::new(lag),
             told: before.clone(),
             late: before.clone(),
@@ -326,7 +326,8 @@ impl Driver {
             // Another command than that of the plan acts, which the controller does not know.
             self.is_lost |= action != Action::Plan;
         } else {
-            self.fallback.succeed();
+            self.fallback
+                .succeed(&self.controller, &self.state, acts_from);
         }
         sample.feedback_s = clock.elapsed().as_secs_f64();
         self.computing = self.begin.wall();
@@ -367,6 +368,7 @@ impl Driver {
     pub(super) fn prepare(&mut self, sample: &mut Sample) {
         let clock = Instant::now();
         self.prepare_controller();
+        self.prepare_fallback();
         sample.prepare_s = clock.elapsed().as_secs_f64();
         let took = self.begin.seconds();
         (sample.sample_s, sample.processor_s) = (took.wall, took.processor);
@@ -529,6 +531,22 @@ impl Driver {
         if disturbed.and_then(|()| self.controller.prepare()).is_err() {
             self.is_lost = true;
         }
+    }
+}
+
+impl Driver {
+    /// Lets the fallbacks seek where the arm may stop. Its last known shape is that of the last knowledge, moved on by the model under the
+    /// commands since where the controller has predicted this.
+    fn prepare_fallback(&mut self) {
+        let is_predicted = !(self.is_lost || matches!(self.settings.law, Law::Tip(_)));
+        let state = if is_predicted {
+            self.controller.expected()
+        } else {
+            &self.known
+        };
+        let start = self.sent().end;
+        let shape = &state.configuration;
+        self.fallback.prepare(&self.controller, shape, start);
     }
 }
 

@@ -1,14 +1,20 @@
 //! The fallbacks for a sample without a command: the plan as it is, then damping at the tip or the node that follows a reference, then a ramp
-//! to zero, or the last command held.
+//! to controls that hold the arm near where it is, to zero, or the last command held.
+//!
+//! Zero controls let an arm fall that carries a load, and the last command of a motion leads to wherever its statics are, which may be
+//! unstable or beyond a limit. The last fallback is therefore a stop: once in a row of samples without a command, after a command has been
+//! sent, controls within their bounds are sought under which the model has a stable equilibrium near the arm's last known shape, clear of
+//! obstacles and within limits (`crates/control/src/holding/along.rs`). Where none is found there, one near the shape is sought in which
+//! the loop has last been at rest.
 
 use nalgebra::Vector3;
 
 use crate::beam::{modal_mass, weakest_stiffness};
-use crate::controller::{Aim, Controller};
+use crate::controller::{Aim, Controller, Under};
 use crate::error::MpcError;
 use crate::estimator::EstimateError;
 use crate::sensor::SensorSettings;
-use mechanics::{Rod, State, Wrench};
+use mechanics::{Configuration, Rod, State, Wrench};
 use values::{As, Duration, Factor, Positive};
 
 /// The reason why a sample has no command of its own.
@@ -67,6 +73,8 @@ pub enum Action {
     Plan,
     /// A force against the velocity of the tip, or of the node that follows a reference.
     Damping,
+    /// A ramp from the last command to controls that hold the arm near where it is, which then stay.
+    Stop,
     /// A ramp from the last command to zero.
     Ramp,
     /// The last command.
@@ -78,14 +86,15 @@ impl std::fmt::Display for Action {
         f.write_str(match self {
             Self::Plan => "plan",
             Self::Damping => "damping",
+            Self::Stop => "stop",
             Self::Ramp => "ramp",
             Self::Hold => "hold",
         })
     }
 }
 
-/// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the wrench
-/// goes to zero along a ramp, or stays as it is.
+/// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the controls
+/// go along a ramp to those of a stop, or to zero, or stay as they are.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[cfg_attr(feature = "schema", schemars(rename = "Fallback"))]
@@ -99,11 +108,16 @@ pub struct FallbackSettings {
     pub plan_samples: usize,
     /// Samples in a row after these that damp the tip where its velocity is known, default 50.
     pub damping_samples: usize,
-    /// Duration in s of the ramp to zero, positive, default 0.5.
-    #[serde(rename = "ramp_s", with = "As::<Positive<Duration>>")]
-    pub ramp: f64,
-    /// Holds the last command in place of the ramp, default false: an arm that carries a load would fall with it. With `plan_samples = 0` and
-    /// `damping_samples = 0` it is held from the first sample on.
+    /// Stop: with true, a ramp leads to controls within their bounds that then stay, under which the model is stable at rest
+    /// near its last known shape, clear of obstacles and within limits. Where none are found, and with false, the ramp leads
+    /// to zero, or `hold` applies. Absent: true, unless `ramp_s` or `hold` is given.
+    #[serde(rename = "stop")]
+    pub stops: Option<bool>,
+    /// Duration in s of the ramp to the stop or to zero, positive. Absent: 0.5. Given without `stop`, the ramp leads to zero.
+    #[serde(rename = "ramp_s", with = "As::<Option<Positive<Duration>>>")]
+    pub ramp: Option<f64>,
+    /// Holds the last command in place of the ramp to zero, default false: an arm that carries a load would fall with it. With
+    /// `plan_samples = 0` and `damping_samples = 0` it is held from the first sample on.
     #[serde(rename = "hold")]
     pub holds: bool,
     /// Damping of the tip's force over the critical one of a cantilever's first mode, positive, default 0.5.
@@ -117,7 +131,8 @@ impl Default for FallbackSettings {
             patience: None,
             plan_samples: 10,
             damping_samples: 50,
-            ramp: 0.5,
+            stops: None,
+            ramp: None,
             holds: false,
             damping: 0.5,
         }
@@ -128,6 +143,9 @@ impl FallbackSettings {
     /// Least default of the largest age of an estimate from which the state is predicted (`mpc.fallback.patience_s`), in periods of the
     /// loop: as many as the plan lasts alone.
     pub const PATIENCE: f64 = 10.0;
+
+    /// Default duration of the ramp (`mpc.fallback.ramp_s`), s.
+    pub const RAMP: f64 = 0.5;
 
     /// Returns the settings with the patience that sensors require of a loop with this period (s). Between two readings, an estimate becomes
     /// as old as the age of a reading plus the time between two of them; one reading may be lost.
@@ -152,10 +170,22 @@ impl FallbackSettings {
         self.patience.unwrap_or(Self::PATIENCE * period)
     }
 
+    /// Returns the duration of the ramp, s.
+    #[must_use]
+    pub fn ramp(&self) -> f64 {
+        self.ramp.unwrap_or(Self::RAMP)
+    }
+
+    /// Tells whether the last fallback is a stop.
+    #[must_use]
+    pub fn stops(&self) -> bool {
+        self.stops.unwrap_or(self.ramp.is_none() && !self.holds)
+    }
+
     pub(super) fn check(&self) -> Result<(), MpcError> {
         for (name, value) in [
             ("fallback.patience", self.patience.unwrap_or(1.0)),
-            ("fallback.ramp", self.ramp),
+            ("fallback.ramp", self.ramp()),
             ("fallback.damping", self.damping),
         ] {
             if !(value.is_finite() && value > 0.0) {
@@ -170,6 +200,40 @@ impl FallbackSettings {
     }
 }
 
+/// Speed of a node, as a fraction of the length over the time scale of the arm, below which the arm counts as being at rest: a swing of about
+/// 0.3 % of the length.
+const AT_REST: f64 = 1e-2;
+
+/// The controls of a stop.
+#[derive(Debug)]
+enum Stop {
+    /// They have not been sought since the last sample with a command of its own.
+    Unknown,
+    /// Scaled controls.
+    Found(Vec<f64>),
+    /// There are none.
+    None,
+}
+
+/// A ramp of scaled controls: their value at the beginning of the next command, and the time at which the ramp ends, s.
+#[derive(Debug)]
+struct Ramp {
+    at: Vec<f64>,
+    end: f64,
+}
+
+impl Ramp {
+    /// Moves on by a command from `start` (s) on of this period (s); returns the controls at its beginning and its end.
+    fn advance(&mut self, start: f64, period: f64, to: &[f64]) -> [Vec<f64>; 2] {
+        let share = period / (self.end - start).max(period);
+        let before = self.at.clone();
+        for (at, to) in self.at.iter_mut().zip(to) {
+            *at += (to - *at) * share;
+        }
+        [before, self.at.clone()]
+    }
+}
+
 /// The fallbacks, and the number of consecutive samples that have needed them.
 #[derive(Debug)]
 pub(super) struct Fallback {
@@ -178,26 +242,59 @@ pub(super) struct Fallback {
     /// Damping coefficient `2 ζ sqrt(k m)` of a cantilever with tip stiffness `k = 3 EI/L³` and a quarter of its mass, or of the middle
     /// between two held ends, kg/s.
     damping: f64,
+    stop: Stop,
+    /// The ramp of the present row of samples without a command.
+    ramp: Option<Ramp>,
+    /// Controls and shape when the loop was last at rest.
+    rest: Under,
 }
 
 impl Fallback {
-    pub(super) fn new(model: &Rod, settings: FallbackSettings) -> Self {
+    pub(super) fn new(controller: &Controller, settings: FallbackSettings) -> Self {
+        let model = controller.rod();
         let critical = 2.0 * (weakest_stiffness(model) * modal_mass(model)).sqrt();
         Self {
             damping: settings.damping * critical,
             settings,
             in_a_row: 0,
+            stop: Stop::Unknown,
+            ramp: None,
+            rest: controller.beginning(),
         }
     }
 
-    /// Records a sample with a command of its own.
-    pub(super) fn succeed(&mut self) {
+    /// Records a sample with a command of its own, which acts from `start` (s) on, in this state.
+    pub(super) fn succeed(&mut self, controller: &Controller, state: &State, start: f64) {
         self.in_a_row = 0;
+        self.stop = Stop::Unknown;
+        self.ramp = None;
+        if self.settings.stops() && is_at_rest(controller.rod(), state) {
+            controller.write_acting(start, &mut self.rest.controls);
+            self.rest.shape.clone_from(&state.configuration);
+        }
     }
 
     /// Records that samples were left out while the horizon of the plan did not move: the next fallback is the one after the plan.
     pub(super) fn lose_plan(&mut self) {
         self.in_a_row = self.in_a_row.max(self.settings.plan_samples);
+    }
+
+    /// Seeks the controls of a stop if the next sample may need them, for a command from `start` (s) on, near the arm's last known shape.
+    /// This takes as long as some equilibria, so that it belongs behind the command of a sample.
+    pub(super) fn prepare(&mut self, controller: &Controller, shape: &Configuration, start: f64) {
+        let is_due = self.in_a_row > 0 && self.in_a_row >= self.settings.plan_samples;
+        if !(is_due && self.settings.stops() && matches!(self.stop, Stop::Unknown)) {
+            return;
+        }
+        let end = start + self.settings.ramp();
+        let mut present = Under {
+            controls: self.rest.controls.clone(),
+            shape: shape.clone(),
+        };
+        controller.write_acting(start, &mut present.controls);
+        let near = controller.stop_near(&present, end);
+        let found = near.or_else(|| controller.stop_near(&self.rest, end));
+        self.stop = found.map_or(Stop::None, Stop::Found);
     }
 
     /// Lets the controller issue a command from the time `start` on.
@@ -216,19 +313,43 @@ impl Fallback {
         );
         if self.in_a_row <= plan {
             let _ = controller.plan_alone(start);
-            Action::Plan
-        } else if knows_velocity && self.in_a_row <= plan + self.settings.damping_samples {
-            let force = self.damped(controller.rod(), controller.followed(), state);
-            controller.steer(start, Aim::Follow(force));
-            Action::Damping
-        } else if self.settings.holds {
-            controller.steer(start, Aim::Part(1.0));
-            Action::Hold
-        } else {
-            let left = (1.0 - controller.settings().period / self.settings.ramp).max(0.0);
-            controller.steer(start, Aim::Part(left));
-            Action::Ramp
+            return Action::Plan;
         }
+        let damps = knows_velocity && self.in_a_row <= plan + self.settings.damping_samples;
+        let force = if damps {
+            self.damped(controller.rod(), controller.followed(), state)
+        } else {
+            Wrench::default()
+        };
+        if !self.settings.stops() {
+            self.stop = Stop::None;
+        }
+        let (action, to) = match &self.stop {
+            // Samples were left out, or there was no plan: the stop is sought after this command.
+            Stop::Unknown => {
+                controller.steer(start, Aim::Hold);
+                return Action::Hold;
+            }
+            Stop::Found(controls) => (Action::Stop, controls.clone()),
+            Stop::None if damps => {
+                controller.steer(start, Aim::Follow(force));
+                return Action::Damping;
+            }
+            Stop::None if self.settings.holds => {
+                controller.steer(start, Aim::Hold);
+                return Action::Hold;
+            }
+            Stop::None => (Action::Ramp, vec![0.0; self.rest.controls.len()]),
+        };
+        let ramp = self.ramp.get_or_insert_with(|| {
+            let mut at = vec![0.0; to.len()];
+            controller.write_acting(start, &mut at);
+            let end = start + self.settings.ramp();
+            Ramp { at, end }
+        });
+        let [from, to] = ramp.advance(start, controller.settings().period, &to);
+        controller.steer(start, Aim::Course([&from, &to], force));
+        if damps { Action::Damping } else { action }
     }
 
     /// Returns a force against the velocity of a node.
@@ -244,4 +365,10 @@ impl Fallback {
             ..Wrench::default()
         }
     }
+}
+
+fn is_at_rest(rod: &Rod, state: &State) -> bool {
+    let fastest = AT_REST * rod.scales.length / rod.scales.time;
+    (state.linear_momentum.iter().zip(&rod.nodes))
+        .all(|(momentum, node)| momentum.norm() < fastest * node.mass)
 }
