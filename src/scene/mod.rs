@@ -125,6 +125,7 @@ impl Scene {
         scene.read_learned(&source)?;
         scene.read_start(&source)?;
         scene.check(&source)?;
+        scene.read_earlier_runs(&source)?;
         Ok((scene, source))
     }
 

@@ -34,7 +34,7 @@ pub(crate) struct Draws {
 impl Draws {
     /// Returns the numbers in doubt of a scene in which every default is written out, if it states any.
     pub fn of(resolved: &Scene) -> Option<Self> {
-        let doubt = resolved.doubt.clone()?;
+        let doubt = (resolved.doubt.clone()).filter(|doubt| !doubt.number.is_empty())?;
         let text = resolved.to_toml();
         let table = toml::from_str(&text).unwrap_or_default();
         let own = |key: &str| number(&table, key).unwrap_or(f64::NAN);

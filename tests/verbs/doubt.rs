@@ -346,3 +346,76 @@ fn loops_keep_inside_for_a_part_of_their_plants() {
     assert_eq!(again["doubt"], kept["doubt"]);
     assert_eq!(number(&again["limits"][0]["margin"]), margin);
 }
+
+/// Margins from nine earlier runs, on plants that nobody drew for this purpose, keep most of twelve further runs of the same kind within the
+/// limit that all of them leave without, and cost no run of their own; the scene of the result has them as numbers.
+#[test]
+fn loops_learn_their_margins_from_earlier_runs() {
+    let desk = Desk::holding("");
+    let (loop_alone, _) = BENT.split_once("[doubt]").unwrap();
+    fs::write(desk.path("bent.toml"), loop_alone).unwrap();
+    // Low-discrepancy stiffnesses; every run has noise of its own.
+    let stiffness = |run: usize| 0.8 + 0.4 * (0.618_034 * run as f64).fract();
+    let run = |scene: &str, run: usize| {
+        let plant = stiffness(run);
+        desk.done(&format!(
+            "mpc {scene} --out run{run} --seed {run} --set plant.stiffness_factor={plant}"
+        ))
+    };
+    let leaves = |summary: &Value| summary["limits"][0]["violated"] == Value::Bool(true);
+    let earlier = (1..10).filter(|i| leaves(&run("bent.toml", *i))).count();
+    assert!(earlier >= 5, "{earlier}");
+    let names: Vec<String> = (1..10).map(|i| format!("\"run{i}\"")).collect();
+    let doubt = format!("[doubt]\nshare = 0.1\nruns = [{}]\n", names.join(", "));
+    fs::write(desk.path("learned.toml"), format!("{loop_alone}{doubt}")).unwrap();
+    let further: Vec<Value> = (10..22).map(|i| run("learned.toml", i)).collect();
+    let left = further.iter().filter(|own| leaves(own)).count();
+    let without = (10..22)
+        .filter(|i| {
+            let plant = stiffness(*i);
+            leaves(&desk.done(&format!(
+                "mpc bent.toml --out bare{i} --seed {i} --set plant.stiffness_factor={plant}"
+            )))
+        })
+        .count();
+    println!("{earlier} of 9; {without} and {left} of 12");
+    assert!(left <= 2 && without >= 6, "{without} {left}");
+    let margin = number(&further[0]["limits"][0]["margin"]);
+    assert!(0.0 < margin && margin < 1.0, "{margin}");
+    let again = desk.done("mpc run10/scene.toml --out again --seed 10");
+    assert_eq!(number(&again["limits"][0]["margin"]), margin);
+    assert_eq!(again["limits"], further[0]["limits"]);
+
+    // Too few runs, runs of another loop, runs that are none, and runs beside margins are refused, with the place.
+    fs::write(
+        desk.path("other.json"),
+        r#"{ "limits": [{ "name": "wall", "excess": 0.1 }] }"#,
+    )
+    .unwrap();
+    fs::write(
+        desk.path("broken.json"),
+        r#"{ "status": "failed", "limits": [] }"#,
+    )
+    .unwrap();
+    let broken = format!("doubt.runs=[{}]", ["'broken.json'"; 9].join(","));
+    for (change, words) in [
+        (
+            "doubt.runs=['run1']",
+            "doubt.runs: 1 runs cannot tell a share of 0.1",
+        ),
+        (
+            "doubt.share=0.5 --set doubt.runs=['other.json']",
+            "limits [wall], and the scene has [bend]",
+        ),
+        (
+            "doubt.share=0.5 --set doubt.runs=['nowhere']",
+            "doubt.runs.0: nowhere",
+        ),
+        ("doubt.margins=[0.1]", "two places of the same numbers"),
+        (&broken, "doubt.runs: more than 0 of the runs broke down"),
+    ] {
+        let (code, _, talk) = desk.run(&format!("mpc learned.toml --out none --set {change}"));
+        assert_eq!(code, USAGE, "{change}");
+        assert!(talk.contains(words), "{change}: {talk}");
+    }
+}

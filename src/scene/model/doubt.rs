@@ -1,5 +1,7 @@
 //! Stated doubt about the arm: ranges of numbers, from which plants are drawn on which the controls of a solve are replayed.
 
+mod earlier;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +10,7 @@ use super::Scene;
 
 /// Doubt about the arm: its numbers are known up to ranges. `softarm solve` and `softarm verify` replay the controls on plants that are
 /// drawn from them, and say how many leave a limit and where they end. `softarm mpc` runs the loop on drawn plants, whose numbers are those
-/// of `plant`, `disturbance` and `sensor`.
+/// of `plant`, `disturbance` and `sensor`, or takes its margins from earlier runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Doubt {
@@ -25,11 +27,17 @@ pub struct Doubt {
     #[schemars(range(min = 0.0, max = 1.0))]
     pub share: Option<f64>,
     /// By how much the plans of a closed loop keep inside of each `[[obstacle]]` and then each `[[limit]]`, in the order of `limits` in its
-    /// summary and in the unit there, none negative; goes with `mpc`. Absent: what `softarm mpc` finds on drawn plants for `share`,
-    /// and nothing without it.
+    /// summary and in the unit there, none negative; goes with `mpc`. Absent: what follows from `runs`, or what `softarm mpc` finds on
+    /// drawn plants for `share`, and nothing without it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub margins: Option<Vec<f64>>,
-    /// The numbers in doubt.
+    /// Earlier runs of this loop from whose limits its margins follow, so that a part of at most `share` of further runs like these leaves
+    /// one: result directories of `softarm mpc`, or files like their `summary.json`, relative to the scene; at least `1/share - 1`.
+    /// Results have the margins in their place. Goes with `mpc` and `share`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub runs: Option<Vec<String>>,
+    /// The numbers in doubt. They may be left out where `margins` or `runs` are given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub number: Vec<DoubtedNumber>,
 }
 
@@ -107,13 +115,13 @@ impl Keys<'_> {
                     "",
                 ));
             }
-            if share * ((doubt.plants + 1) as f64) < 1.0 {
+            if !doubt.number.is_empty() && share * ((doubt.plants + 1) as f64) < 1.0 {
                 let message = format!("{} plants cannot tell a share of {share}", doubt.plants);
                 return Err((self.source.error_at("doubt.plants", message, None))
                     .expecting(format!("expected {:.0} or more", (1.0 / share).ceil())));
             }
         }
-        if doubt.number.is_empty() {
+        if doubt.number.is_empty() && doubt.margins.is_none() && doubt.runs.is_none() {
             return Err(self.missing("doubt.number", "the numbers in doubt, one at least"));
         }
         for (index, own) in doubt.number.iter().enumerate() {
