@@ -250,7 +250,7 @@ fn friction_is_learned_from_shapes() {
     assert!(again < 1.1 * with + 1e-6, "{again:e} {with:e}");
 }
 
-/// A shape beyond the radial functions is computed without them, and that is said.
+/// A shape, a motion and a loop beyond the radial functions are computed without them, and that is said.
 #[test]
 fn shapes_beyond_the_data_are_named() {
     let text = format!(
@@ -258,9 +258,9 @@ fn shapes_beyond_the_data_are_named() {
         [1e-3; 9]
     );
     let desk = Desk::holding(&text);
-    let output = |set: &str| {
+    let output = |verb: &str, set: &str| {
         let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
-            .args(["equilibrium", "arm.toml", "--out", "rest"])
+            .args([verb, "arm.toml", "--out", verb])
             .args(set.split_whitespace())
             .current_dir(desk.path(""))
             .output()
@@ -268,12 +268,21 @@ fn shapes_beyond_the_data_are_named() {
         assert!(output.status.success());
         String::from_utf8_lossy(&output.stderr).into_owned()
     };
-    assert!(!output("").contains("a density was learned"));
-    let talk = output("--set tendon.0.pretension_n=1.0");
-    assert!(
-        talk.contains("beyond the strains from which a density was learned"),
-        "{talk}"
-    );
+    let beyond = "beyond the strains from which a density was learned";
+    assert!(!output("equilibrium", "").contains(beyond));
+    let pulled = "--set tendon.0.pretension_n=1.0";
+    let talk = output("equilibrium", pulled);
+    assert!(talk.contains(beyond), "{talk}");
+    let talk = output("simulate", pulled);
+    assert!(talk.contains(beyond), "{talk}");
+    let tracked = "--set control.force_max_n=1.0 --set mpc.period_s=0.02 --set mpc.duration_s=0.3 \
+         --set objective.track=[{path_m=[[0.0,0.05,0.0,-0.29]]}]";
+    let talk = output("mpc", &format!("{tracked} {pulled}"));
+    assert!(talk.contains(beyond), "{talk}");
+    // A section that is as good as straight.
+    let little = "--set objective.track=[{path_m=[[0.0,0.0,0.0,-0.3]]}]";
+    let talk = output("mpc", &format!("{tracked} {little}"));
+    assert!(!talk.contains(beyond), "{talk}");
 }
 
 /// Keys that make no density are refused with their place.

@@ -114,6 +114,9 @@ pub struct SimulateSummary {
     /// Kinetic energy, J, that changes its sign from step to step at the end, if that is most of it; absent otherwise.
     #[serde(rename = "ringing_J", skip_serializing_if = "Option::is_none")]
     pub ringing: Option<f64>,
+    /// A sentence on rows that are beyond what a learned density knows, which is among the warnings.
+    #[serde(skip)]
+    pub beyond_learned: Option<String>,
     /// Slack of the tendons on winches; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub slack: Vec<SlackSummary>,
@@ -291,9 +294,8 @@ impl SimulateSummary {
                 100.0 * gained / taken_up
             ));
         }
-        if let Some(stretched) = self.stretched() {
-            out.push(stretched);
-        }
+        out.extend(self.stretched());
+        out.extend(self.beyond_learned.clone());
         for contact in &self.contact {
             if !(contact.through <= HOLDS) {
                 out.push(format!(

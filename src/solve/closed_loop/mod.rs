@@ -107,6 +107,7 @@ impl LoopOrder<'_> {
         };
         let ended = self.stop.raised();
         let mut summary = self.summarize(&run, &others, recording.limits.peaks.clone(), ended);
+        summary.advice.extend(recording.beyond.sentence());
         summary.baselines.extend(missing);
         summary.doubt = doubt;
         summary.efforts = recording.effort_ranges(&self.setup.plant);

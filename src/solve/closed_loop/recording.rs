@@ -17,6 +17,7 @@ use crate::output::{
 };
 use crate::scene::ClosedLoopSetup;
 use crate::solve::efforts::efforts_at;
+use crate::solve::learned::BeyondLearned;
 use crate::solve::page::closed_loop_page;
 
 /// Recording of the arm's motion, a row at the beginning and after every sample, and of the commands that are sent to it.
@@ -34,6 +35,8 @@ pub(super) struct Recording {
     /// The state of that row.
     end: State,
     pub(super) limits: LimitWatch,
+    /// Expected states of the controller's model beyond what a learned density knows.
+    pub(super) beyond: BeyondLearned,
 }
 
 /// Looks at the limits of the task on the arm as it is.
@@ -144,6 +147,7 @@ impl Recording {
             row: layout,
             end: setup.initial.clone(),
             limits: LimitWatch::new(setup),
+            beyond: BeyondLearned::default(),
         };
         recording.note_efforts(
             &setup.plant,
@@ -182,6 +186,9 @@ impl Recording {
 
     pub(super) fn see(&mut self, sample: &Sample, closed: &ClosedLoop) -> Result<(), OutputError> {
         self.limits.note_plan(sample, closed);
+        let controller = closed.controller();
+        let expected = &controller.expected().configuration;
+        self.beyond.see(controller.rod(), expected.poses());
         let (arm, command) = (closed.arm(), closed.sent());
         if self.controls.is_empty() {
             self.commanded = command.list.named().cloned().collect();

@@ -294,6 +294,7 @@ impl<'a> Run<'a> {
         self.thinned.push(&row);
         let counts = self.integrator.step().is_multiple_of(ENERGY_EVERY);
         self.tally.include(&row, rod, counts);
+        self.tally.beyond.see(rod, state.configuration.poses());
         self.row = row;
         Ok(())
     }
@@ -506,6 +507,7 @@ impl<'a> Run<'a> {
                 End::Completed => self.ringing(&extremes),
                 End::Interrupted | End::Failed(_) => None,
             },
+            beyond_learned: self.tally.beyond.sentence(),
             slack: Vec::new(),
             warnings: Vec::new(),
             accuracy: None,

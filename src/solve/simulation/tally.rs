@@ -4,6 +4,7 @@ use super::clearance::Clearances;
 use crate::mechanics::Rod;
 use crate::output::{Extremes, MotionRecord};
 use crate::scene::Simulation;
+use crate::solve::learned::BeyondLearned;
 
 /// Energy of the first and the last row, J, and the extremes over every step.
 pub(super) struct Tally {
@@ -12,6 +13,8 @@ pub(super) struct Tally {
     pub(super) last: f64,
     pub(super) extremes: Extremes,
     pub(super) clearance: Clearances,
+    /// Rows beyond what a learned density knows.
+    pub(super) beyond: BeyondLearned,
 }
 
 impl Tally {
@@ -22,6 +25,7 @@ impl Tally {
             last: 0.0,
             extremes: Extremes::EMPTY,
             clearance: Clearances::of(setup),
+            beyond: BeyondLearned::default(),
         }
     }
 
