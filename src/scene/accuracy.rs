@@ -212,17 +212,18 @@ impl Scene {
         self.solver = Some(solver);
     }
 
-    /// Horizon (s), blocks (s), iterations and estimator of a controller, where they are given.
+    /// Horizon and blocks (s), terminal cost, iterations and estimator of a controller, where they are given.
     pub(crate) fn set_loop(
         &mut self,
-        horizon: Option<f64>,
-        block: Option<f64>,
+        [horizon, block]: [Option<f64>; 2],
+        terminal_cost: Option<bool>,
         iterations: Option<usize>,
         estimator: Option<EstimatorKind>,
     ) {
         if let Some(mpc) = &mut self.mpc {
             mpc.horizon_s = horizon.map(known).or(mpc.horizon_s);
             mpc.block_s = block.map(known).or(mpc.block_s);
+            mpc.terminal_cost = terminal_cost.unwrap_or(mpc.terminal_cost);
             mpc.iterations = iterations.unwrap_or(mpc.iterations);
         }
         if let (Some(own), Some(kind)) = (&mut self.estimator, estimator) {

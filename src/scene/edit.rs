@@ -274,7 +274,7 @@ mod tests {
         if scene.control.is_some() {
             out.set_solver(Some(3e-7), Some(HessianChoice::Exact));
         }
-        out.set_loop(Some(0.7), Some(0.07), Some(2), None);
+        out.set_loop([Some(0.7), Some(0.07)], Some(true), Some(2), None);
         out
     }
 

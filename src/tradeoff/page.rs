@@ -49,7 +49,7 @@ pub fn write_points(path: &Path, points: &[Point]) -> Result<(), OutputError> {
 }
 
 /// Columns of `points.csv`: their names, and their places in the JSON of a point.
-const COLUMNS: [(&str, &str); 26] = [
+const COLUMNS: [(&str, &str); 27] = [
     ("elements", "/elements"),
     ("strain", "/strain"),
     ("integrator", "/integrator"),
@@ -62,6 +62,7 @@ const COLUMNS: [(&str, &str); 26] = [
     ("hessian", "/hessian"),
     ("horizon_s", "/horizon_s"),
     ("block_s", "/block_s"),
+    ("terminal_cost", "/terminal_cost"),
     ("iterations", "/iterations"),
     ("estimator", "/estimator"),
     ("status", "/status"),

@@ -28,6 +28,9 @@ const AS_GOOD: f64 = 1.5;
 const ELEMENTS: [f64; 5] = [0.4, 0.6, 0.8, 1.5, 2.0];
 const BLOCKS: [f64; 2] = [0.5, 2.0];
 const HORIZONS: [f64; 2] = [0.6, 1.6];
+/// Horizons that are tried with a terminal cost, relative to the scene's own, where the reference comes to rest: the cost makes up for what a
+/// plan does not see.
+const SEEING_BEYOND: [f64; 2] = [0.5, 0.25];
 const STEPS_A_BLOCK: [f64; 3] = [1.0, 2.0, 4.0];
 const ITERATIONS: [usize; 3] = [1, 2, 3];
 /// Fraction of the tolerance above which the dependence on the elements of the plant is reported: below, it changes the first digit of an
@@ -205,7 +208,17 @@ impl Work<'_, '_> {
         })
     }
 
-    /// Returns the settings that differ from the scene's own in one key.
+    /// Tells whether the scene's loop can have a terminal cost.
+    fn sees_beyond(&self) -> bool {
+        let setting = Setting {
+            terminal_cost: Some(true),
+            ..self.usual.clone()
+        };
+        let one = self.sweep.scene.mpc.as_ref().map(|mpc| mpc.period_s.get());
+        self.run_loop(&setting, one, 1).is_ok()
+    }
+
+    /// Returns the settings that differ from the scene's own in one key, or in the horizon and the cost of what comes after it.
     fn loop_settings(&self) -> Vec<Setting> {
         let usual = &self.usual;
         let mut settings = Vec::new();
@@ -227,11 +240,18 @@ impl Work<'_, '_> {
             for part in BLOCKS {
                 add(&|setting| setting.block_s = Some(part * block));
             }
+            // Removes the rounding of the product: horizons are whole nanoseconds.
+            let whole = |part: f64| {
+                (((part * horizon / block).round().max(2.0) * block) * 1e9).round() / 1e9
+            };
             for part in HORIZONS {
-                let whole = (part * horizon / block).round().max(2.0) * block;
-                // Removes the rounding of the product: horizons are whole nanoseconds.
-                let whole = (whole * 1e9).round() / 1e9;
-                add(&|setting| setting.horizon_s = Some(whole));
+                add(&|setting| setting.horizon_s = Some(whole(part)));
+            }
+            for part in SEEING_BEYOND.into_iter().filter(|_| self.sees_beyond()) {
+                add(&|setting| {
+                    setting.horizon_s = Some(whole(part));
+                    setting.terminal_cost = Some(true);
+                });
             }
         }
         // Implicit steps may be as long as a block, so that a horizon has few of them.

@@ -47,6 +47,7 @@ pub(super) mod tests {
             model_step_s: None,
             horizon_s: None,
             block_s: None,
+            terminal_cost: None,
             iterations: None,
             estimator: None,
         }

@@ -377,6 +377,7 @@ impl Sweep<'_> {
             model_step_s: loops.as_ref().and(scene.time.step_s),
             horizon_s: loops.as_ref().and_then(|mpc| Some(mpc.horizon_s?.get())),
             block_s: loops.as_ref().and_then(|mpc| Some(mpc.block_s?.get())),
+            terminal_cost: loops.as_ref().map(|mpc| mpc.terminal_cost),
             iterations: loops.as_ref().map(|mpc| mpc.iterations),
             estimator: loops
                 .as_ref()

@@ -92,6 +92,8 @@ settings! {
         horizon_s: f64 = "mpc.horizon_s", |horizon| format!("horizon {horizon} s");
         /// Length of the blocks of a controller, s.
         block_s: f64 = "mpc.block_s", |block| format!("blocks of {block} s");
+        /// Cost of what comes after a controller's horizon.
+        terminal_cost: bool = "mpc.terminal_cost", |own| if own { "terminal cost" } else { "no terminal cost" }.into();
         /// Iterations of a controller per sample.
         iterations: usize = "mpc.iterations", |iterations| format!("{iterations} iterations");
         /// Estimator of a controller.
@@ -139,8 +141,8 @@ impl Setting {
         out.rod.model = self.model;
         out.set_solver(self.tolerance, self.hessian);
         out.set_loop(
-            self.horizon_s,
-            self.block_s,
+            [self.horizon_s, self.block_s],
+            self.terminal_cost,
             self.iterations,
             self.estimator,
         );
@@ -210,6 +212,7 @@ mod tests {
             model_step_s: Some(0.1),
             horizon_s: Some(1.0),
             block_s: Some(0.2),
+            terminal_cost: Some(false),
             iterations: Some(2),
             estimator: Some(crate::scene::EstimatorKind::Kalman),
             ..setting()
