@@ -273,11 +273,8 @@ impl<S: Simd> ActivePoint<S> {
             return (g, self.moment(g));
         }
         if let Density::Learned(own) = density {
-            let slopes = self.learned::<false>(own, linear, psi);
-            return (
-                Vec3::of(zero, zero, -(slopes.axial * self.weight)),
-                slopes.angular * -self.weight,
-            );
+            let (axial, angular) = apart(psi.x.simd, LearnedStress(self.learned(own, linear, psi)));
+            return (Vec3::of(zero, zero, axial), angular);
         }
         let line = self.tangent_line(linear, psi);
         let length = (line.dot(line) + LEAST_SQUARE).sqrt();
@@ -322,16 +319,15 @@ impl<S: Simd> ActivePoint<S> {
         }
     }
 
-    /// Returns the derivatives of a learned potential with the strain at one end.
+    /// Returns a learned density at the strain at one end.
     #[inline(always)]
-    fn learned<const BENT: bool>(
-        &self,
-        own: &Learned,
-        linear: Vec3<S>,
-        psi: Vec3<S>,
-    ) -> LearnedSlopes<S> {
-        let kappa = psi * self.inverse_length;
-        own.slopes::<S, BENT>(linear.z * self.inverse_length, kappa, self.offset)
+    fn learned<'a>(&self, own: &'a Learned, linear: Vec3<S>, psi: Vec3<S>) -> LearnedAt<'a, S> {
+        LearnedAt {
+            at: *self,
+            own,
+            axial: linear.z,
+            psi,
+        }
     }
 
     /// [`Self::add_at`] of a learned density.
@@ -344,21 +340,20 @@ impl<S: Simd> ActivePoint<S> {
         end: usize,
         (first, second): (&mut Stress<S>, &mut ActiveTangent<S>),
     ) {
-        let slopes = self.learned::<true>(own, linear, psi);
-        // The coordinate is minus the potential.
-        let weight = -(self.weight * factor);
-        first.linear[end].z = first.linear[end].z + slopes.axial * weight;
-        first.angular = first.angular + slopes.angular * weight;
-        let weight = weight * self.inverse_length;
+        let mut at = self.learned(own, linear, psi);
+        at.at.weight = at.at.weight * factor;
+        let slopes = apart(factor.simd, LearnedTangent(at));
+        first.linear[end].z = first.linear[end].z + slopes.axial;
+        first.angular = first.angular + slopes.angular;
         let axial = &mut second.linear[end].rows[2].z;
-        *axial = *axial + slopes.axial_axial * weight;
+        *axial = *axial + slopes.axial_axial;
         let mixed = &mut second.mixed[end].rows[2];
-        *mixed = *mixed + slopes.axial_angular * weight;
+        *mixed = *mixed + slopes.axial_angular;
         let [xx, xy, xz, yy, yz, zz] = slopes.angular_angular;
         let [x, y, z] = &mut second.angular.rows;
-        *x = *x + Vec3::of(xx, xy, xz) * weight;
-        *y = *y + Vec3::of(xy, yy, yz) * weight;
-        *z = *z + Vec3::of(xz, yz, zz) * weight;
+        *x = *x + Vec3::of(xx, xy, xz);
+        *y = *y + Vec3::of(xy, yy, yz);
+        *z = *z + Vec3::of(xz, yz, zz);
     }
 
     /// Adds `factor` times the first and the second derivative of the coordinate with the strain at one end.
@@ -471,6 +466,53 @@ impl<S: Simd> ActivePoint<S> {
             self.add_at(density, (linear[0], psi), half, 0, sums);
             self.add_at(density, (linear[1], psi), half, 1, (first, second));
         }
+    }
+}
+
+/// A learned density at a point of an actuator, for the strain at one end.
+struct LearnedAt<'a, S: Simd> {
+    at: ActivePoint<S>,
+    own: &'a Learned,
+    /// `l v₃`
+    axial: Lanes<S>,
+    psi: Vec3<S>,
+}
+
+impl<S: Simd> LearnedAt<'_, S> {
+    /// Returns the derivatives of the coordinate, with the second ones if `BENT`.
+    #[inline(always)]
+    fn slopes<const BENT: bool>(self) -> LearnedSlopes<S> {
+        let inverse = self.at.inverse_length;
+        let slopes =
+            (self.own).slopes::<S, BENT>(self.axial * inverse, self.psi * inverse, self.at.offset);
+        // The coordinate is minus the potential.
+        let weight = -self.at.weight;
+        slopes.times(weight, weight * inverse)
+    }
+}
+
+/// The first derivatives, along `l v₃` and `ψ`.
+struct LearnedStress<'a, S: Simd>(LearnedAt<'a, S>);
+
+impl<S: Simd> Part for LearnedStress<'_, S> {
+    type Output = (Lanes<S>, Vec3<S>);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let slopes = self.0.slopes::<false>();
+        (slopes.axial, slopes.angular)
+    }
+}
+
+/// First and second derivatives.
+struct LearnedTangent<'a, S: Simd>(LearnedAt<'a, S>);
+
+impl<S: Simd> Part for LearnedTangent<'_, S> {
+    type Output = LearnedSlopes<S>;
+
+    #[inline(always)]
+    fn run(self) -> LearnedSlopes<S> {
+        self.0.slopes::<true>()
     }
 }
 

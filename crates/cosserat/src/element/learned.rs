@@ -14,7 +14,6 @@
 
 use pulp::Simd;
 
-use crate::part::{Part, apart};
 use crate::rod_error::{RodError, require};
 use crate::vector::{Lanes, Vec3};
 
@@ -219,13 +218,8 @@ pub struct LearnedSlopes<S: Simd> {
     pub angular_angular: [Lanes<S>; 6],
 }
 
-/// The arguments of [`Learned::slopes`].
-struct Slopes<'a, S: Simd, const BENT: bool> {
-    own: &'a Learned,
-    axial: Lanes<S>,
-    kappa: Vec3<S>,
-    offset: [Lanes<S>; 2],
-}
+/// Below the square of any offset that is none.
+const LEAST_OFFSET: f64 = 1e-200;
 
 impl Learned {
     /// Returns the derivatives of `W` at strains, with the second ones if `BENT`, which are zero otherwise.
@@ -236,37 +230,11 @@ impl Learned {
         kappa: Vec3<S>,
         offset: [Lanes<S>; 2],
     ) -> LearnedSlopes<S> {
-        let own = self;
-        apart(
-            axial.simd,
-            Slopes::<S, BENT> {
-                own,
-                axial,
-                kappa,
-                offset,
-            },
-        )
-    }
-}
-
-/// Below the square of any offset that is none.
-const LEAST_OFFSET: f64 = 1e-200;
-
-impl<S: Simd, const BENT: bool> Part for Slopes<'_, S, BENT> {
-    type Output = LearnedSlopes<S>;
-
-    #[inline(always)]
-    fn run(self) -> LearnedSlopes<S> {
-        let Self {
-            own,
-            axial,
-            kappa,
-            offset: [first, second],
-        } = self;
+        let [first, second] = offset;
         let simd = axial.simd;
         let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
         // Coefficients of (κ₁, κ₂) in (b₁, b₂)
-        let rows = match own.strains {
+        let rows = match self.strains {
             LearnedStrains::OfSection => [[one, zero], [zero, one]],
             LearnedStrains::OfLine => {
                 let inverse = one / (first * first + second * second + LEAST_OFFSET).sqrt();
@@ -282,9 +250,9 @@ impl<S: Simd, const BENT: bool> Part for Slopes<'_, S, BENT> {
         ];
         let mut slope = [zero; N_STRAINS];
         let mut bend = [[zero; N_STRAINS]; N_STRAINS];
-        for (j, &weight) in own.weights.iter().enumerate() {
+        for (j, &weight) in self.weights.iter().enumerate() {
             // W' = pull z and W'' = pull diag(size²) + twist z zᵀ for radial functions, twist z zᵀ for ridge functions, with z as directions.
-            let (z, sizes, pull, twist) = match &own.basis {
+            let (z, sizes, pull, twist) = match &self.basis {
                 LearnedBasis::Radial {
                     inverse_radii,
                     centers,
@@ -335,6 +303,28 @@ impl<S: Simd, const BENT: bool> Part for Slopes<'_, S, BENT> {
             }
         }
         turned(slope, &bend, &rows)
+    }
+}
+
+impl<S: Simd> LearnedSlopes<S> {
+    /// Returns the first derivatives times one factor, and the second ones times another.
+    #[inline(always)]
+    pub(super) fn times(self, first: Lanes<S>, second: Lanes<S>) -> Self {
+        let [a, b, c, d, e, f] = self.angular_angular;
+        Self {
+            axial: self.axial * first,
+            angular: self.angular * first,
+            axial_axial: self.axial_axial * second,
+            axial_angular: self.axial_angular * second,
+            angular_angular: [
+                a * second,
+                b * second,
+                c * second,
+                d * second,
+                e * second,
+                f * second,
+            ],
+        }
     }
 }
 
