@@ -6,6 +6,7 @@ mod data;
 mod explained;
 mod free;
 mod least_squares;
+mod moving;
 mod report;
 mod resting;
 mod rows;
@@ -22,11 +23,12 @@ use self::data::{Case, Marker, Sight};
 pub use self::explained::Explanation;
 use self::free::{Free, parameters, refuse_set};
 use self::least_squares::{Beside, Minimum, Problem, stacked};
+use self::moving::{Instant, fewest};
 pub use self::report::FitSummary;
 use self::resting::Remembered;
 use crate::mechanics::equilibrium::static_equilibrium_until;
 use crate::mechanics::place::{locate, pose};
-use crate::mechanics::rotation::{exp, log};
+use crate::mechanics::rotation::log;
 use crate::mechanics::threads::on_threads;
 use crate::mechanics::{Configuration, NodeSpring, NodeWrenches, Rod, Stepper, TimeScheme};
 use crate::output::{MotionRecord, ResidualRow};
@@ -102,20 +104,12 @@ pub fn fit(
     let parameters = parameters(&own, (&tables, &cases), &data, options)?;
     refuse_set(&parameters, &cases)?;
     let begun = std::time::Instant::now();
-    let mut model = Model {
-        remembered: Vec::new(),
-        source,
-        markers: &data.marker,
-        cases: &cases,
-        tables: &tables,
-        parameters: &parameters,
-        sigma: Sigma {
-            place: data.sigma_m,
-            angle: data.sigma_rad.unwrap_or(1.0),
-        },
-        n_threads: options.n_threads,
-        stop,
-    };
+    let mut model = Model::of(
+        (source, options, stop),
+        (&data, &cases),
+        &tables,
+        &parameters,
+    );
     model.check_count()?;
     model.remembered = model.remember()?;
     let n_seen = model.fitted().map(Case::n_seen).sum::<usize>();
@@ -227,7 +221,29 @@ const EXPLICIT_STEP: f64 = 0.5;
 /// That of implicit steps, whose automatic step has an error that would show beside standard errors (docs/fitting.md).
 const IMPLICIT_STEP: f64 = 0.125;
 
-impl Model<'_> {
+impl<'a> Model<'a> {
+    fn of(
+        (source, options, stop): (&'a SceneSource, &FitOptions, &'a StopSignal),
+        (data, cases): (&'a data::Data, &'a [Case]),
+        tables: &'a [toml::Table],
+        parameters: &'a [Free],
+    ) -> Self {
+        Self {
+            remembered: Vec::new(),
+            source,
+            markers: &data.marker,
+            cases,
+            tables,
+            parameters,
+            sigma: Sigma {
+                place: data.sigma_m,
+                angle: data.sigma_rad.unwrap_or(1.0),
+            },
+            n_threads: options.n_threads,
+            stop,
+        }
+    }
+
     fn start(&self) -> Vec<f64> {
         self.parameters
             .iter()
@@ -289,12 +305,12 @@ impl Model<'_> {
         steps: &Steps,
         groups: &[std::ops::Range<usize>],
     ) -> Result<Minimum, FitError> {
-        let has_tables = self.fitted().any(|case| case.rows().is_some());
+        let has_others = self.fitted().any(|case| !case.is_static());
         let jacobian = |at: &[f64], here: &DVector<f64>| self.jacobian(at, here, steps);
         let problem = Problem {
             residuals: &|points: &[Vec<f64>]| self.residuals(points, steps),
             bounds: self.bounds(),
-            jacobian: has_tables.then_some(&jacobian),
+            jacobian: has_others.then_some(&jacobian),
             groups: groups.to_vec(),
         };
         problem.minimize(start)
@@ -304,8 +320,8 @@ impl Model<'_> {
         self.parameters.iter().map(Free::scaled_bounds).collect()
     }
 
-    /// Returns the derivatives of the residuals `here`: of shapes and recordings by differences, of tables, which come after them, by the
-    /// implicit function theorem.
+    /// Returns the derivatives of the residuals `here`: of shapes by differences, of recordings, which come after them, by sweeps, and of tables,
+    /// which come last, by the implicit function theorem.
     ///
     /// # Errors
     /// Returns [`FitError`] where one of these cannot be computed.
@@ -316,20 +332,25 @@ impl Model<'_> {
         steps: &Steps,
     ) -> Result<DMatrix<f64>, FitError> {
         let beside = Beside::of(at, &self.bounds());
-        let (tables, others): (Vec<usize>, Vec<usize>) = (0..self.cases.len())
-            .filter(|case| !self.cases[*case].held_out)
-            .partition(|case| self.cases[*case].rows().is_some());
+        let of = |is: &dyn Fn(&Case) -> bool| -> Vec<usize> {
+            let fitted = (0..self.cases.len()).filter(|&case| !self.cases[case].held_out);
+            fitted.filter(|&case| is(&self.cases[case])).collect()
+        };
+        let shapes = of(&Case::is_static);
         let found = (self
-            .blocks(&beside.points, steps, None, &others)
+            .blocks(&beside.points, steps, None, &shapes)
             .into_iter())
         .map(|blocks| blocks.map(|blocks| DVector::from_vec(blocks.concat())))
         .collect();
-        let n = others
+        let n = shapes
             .iter()
-            .map(|case| 3 * self.cases[*case].n_seen())
+            .map(|&case| 3 * self.cases[case].n_seen())
             .sum();
         let mut parts = vec![beside.differences(&here.rows(0, n).into_owned(), found)?];
-        for case in tables {
+        let rest = here.rows(n, here.len() - n).into_owned();
+        let motions = of(&Case::is_motion);
+        parts.extend(self.motion_jacobians(at, &rest, (&motions, steps), (&beside, fewest))?);
+        for case in of(&|case| case.rows().is_some()) {
             parts.push(self.table_jacobian(at, case, &beside)?);
         }
         for (j, own) in self.parameters.iter().enumerate() {
@@ -490,29 +511,25 @@ impl Model<'_> {
         let mut before = setup.initial.configuration.clone();
         let mut now = before.clone();
         let mut out = Vec::with_capacity(case.sights.len());
-        let h = setup.grid.step;
         for sight in &case.sights {
-            let time = (sight.time - late).max(0.0);
-            let needed = (time / h - 1e-9).ceil().max(0.0) as usize;
-            while stepper.step() < needed.min(setup.grid.n_steps) {
+            let instant = Instant::of(&setup.grid, sight.time - late);
+            while stepper.step() < instant.node {
+                if stepper.step() + 1 == instant.node {
+                    before = stepper.state().configuration;
+                }
                 stepper
                     .advance([NodeWrenches::NONE; 2])
                     .map_err(|error| FitError::Step {
                         case: case.name.clone(),
                         error,
                     })?;
-                before = now;
-                now = stepper.state().configuration;
+                if stepper.step() == instant.node {
+                    now = stepper.state().configuration;
+                }
                 self.stop.check().map_err(FitError::Stopped)?;
             }
-            // Linear between the two time nodes beside the sight, and along the shortest turn.
-            let part = 1.0 - (stepper.step() as f64 - time / h).clamp(0.0, 1.0);
             let [from, to] = [&before, &now].map(|shape| pose(shape, sight.marker));
-            let turn = log(&from.section.tr_mul(&to.section));
-            out.push(Pose {
-                place: from.place + (to.place - from.place) * part,
-                section: from.section * exp(&(turn * part)),
-            });
+            out.push(from.toward(&to, instant.part));
         }
         Ok(out)
     }

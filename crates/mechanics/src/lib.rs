@@ -41,6 +41,7 @@ pub mod equilibrium;
 
 pub mod load_path;
 pub mod rollout;
+pub mod sloped_motion;
 #[doc(hidden)]
 pub mod slow_modes;
 mod swept;

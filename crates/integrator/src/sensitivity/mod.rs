@@ -313,6 +313,45 @@ pub fn direction(
     Ok((direction, tile.sums(n_nodes)))
 }
 
+/// Solves the linearized equations of motion forward for several changes of their right-hand side, the state at the start included, under
+/// the same control. Returns `(δx, ζ, δp, δπ)` at the end for each.
+///
+/// # Errors
+/// [`StepError`] where the trajectory cannot be linearized.
+pub fn responses(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    sources: &[&RightHandSide],
+    n_threads: usize,
+) -> Result<Vec<StateTangent>, StepError> {
+    let task = Task {
+        motion,
+        trajectory,
+        sources,
+        columns: &OneColumn(&ControlSignal::default()),
+        forms: &[],
+        n_threads,
+    };
+    let tiles: Vec<RwLock<Tile>> = (0..sources.len().div_ceil(TILE))
+        .map(|index| RwLock::new(Tile::new(&task, index * TILE, None)))
+        .collect();
+    let arch = instructions();
+    let n_times = motion.grid.n_steps + 1;
+    (task.conveyor(None, 0..n_times, Sense::Forward)).run(
+        1,
+        |_| tiles.len(),
+        |_, index, group| {
+            let mut tile = write(&tiles[index]);
+            for (k, step) in group.steps() {
+                tile.advance(arch, step, k, &task);
+            }
+        },
+    )?;
+    let n_nodes = motion.rod.n_nodes();
+    let of = |column: usize| read(&tiles[column / TILE]).column(n_nodes, column % TILE);
+    Ok((0..sources.len()).map(of).collect())
+}
+
 /// Linearizes a motion at all time nodes.
 ///
 /// # Errors

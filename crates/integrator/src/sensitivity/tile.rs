@@ -178,13 +178,15 @@ impl<'a> Tile<'a> {
 
     /// Returns the sums of all nodes.
     pub fn sums(&self, n_nodes: usize) -> StateTangent {
-        let part = |part: usize| (0..n_nodes).map(|node| self.sum(node, part)).collect();
-        StateTangent {
-            positions: part(0),
-            rotations: part(3),
-            linear: part(6),
-            angular: part(9),
-        }
+        tangent_of(n_nodes, &|node, part| self.sum(node, part))
+    }
+
+    /// Returns one column of all nodes.
+    pub fn column(&self, n_nodes: usize, column: usize) -> StateTangent {
+        tangent_of(n_nodes, &|node, part| {
+            let row = node * NODE_COMPONENTS + part;
+            Vector3::from_fn(|axis, _| self.component(row + axis, column))
+        })
     }
 
     /// Forms, kick, sources, drift: one time node.
@@ -725,5 +727,16 @@ impl<S: Simd> Columns<'_, S> {
         self.set_increment(q, 3, angular);
         self.set_increment(q + 1, 0, next_linear);
         self.set_increment(q + 1, 3, next_angular);
+    }
+}
+
+/// Returns the tangent of parts that begin at the components 0, 3, 6 and 9 of every node.
+fn tangent_of(n_nodes: usize, of: &dyn Fn(usize, usize) -> Vector3<f64>) -> StateTangent {
+    let part = |part: usize| (0..n_nodes).map(|node| of(node, part)).collect();
+    StateTangent {
+        positions: part(0),
+        rotations: part(3),
+        linear: part(6),
+        angular: part(9),
     }
 }
