@@ -3,7 +3,7 @@
 use pulp::Simd;
 
 use super::active::sum;
-use super::linearize::{Group, MULTIPLIER_ROWS, Reach, element_at, store_block};
+use super::linearize::{Group, Inertias, MULTIPLIER_ROWS, Reach, element_at, store_block};
 use crate::curvature::StressCurvature;
 use crate::lanes::curved::{CurvedEnd, stress_curvature};
 use crate::lanes::tangent::{NodePose, POSE_ROWS};
@@ -27,9 +27,7 @@ impl Group<'_> {
         let Some(weights) = IntervalWeights::of(rod, h) else {
             return irregular;
         };
-        for node in 0..rod.n_nodes() {
-            self.inertia_curvatures(simd, node);
-        }
+        self.apart::<S, Inertias>(simd);
         // The same for all intervals.
         let leaving = 0.5 * h * self.along.motion.kick(0).impulse;
         let arriving = 0.5 * h * self.along.motion.arriving_impulse();

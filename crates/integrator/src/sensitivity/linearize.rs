@@ -1,6 +1,7 @@
 //! The linearization of consecutive time nodes: the standard model in vector instructions, one time node in each lane, and a time node by
 //! itself where the section thins or an element is bent by more than vectors take.
 
+mod parts;
 mod reach;
 mod solved;
 mod workspace;
@@ -11,6 +12,8 @@ use std::ops::RangeInclusive;
 use nalgebra::{SVector, Vector3};
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
+pub(super) use self::parts::Inertias;
+use self::parts::{Drifts, Factors, Spins};
 use self::reach::ROUNDING;
 pub(super) use self::reach::Reach;
 pub(super) use self::solved::{Weights, element_at};
@@ -382,7 +385,7 @@ impl Group<'_> {
         let explicit = self.along.motion.rod.scheme == TimeScheme::Explicit;
         if self.workspace.solve.is_some() {
             self.prepare_solve(S::F64_LANES);
-            let mut irregular = self.spins::<S, P>(simd);
+            let mut irregular = self.apart::<S, Spins<P>>(simd);
             if is_curved {
                 irregular = irregular + self.bent_intervals::<S, R, P>(simd);
             }
@@ -390,7 +393,8 @@ impl Group<'_> {
                 if is_curved && explicit {
                     irregular = irregular + self.elements::<S, R, P>(simd);
                 }
-                irregular = irregular + self.solved_elements::<S, R, P>(simd) + self.factors(simd);
+                irregular = irregular + self.solved_elements::<S, R, P>(simd);
+                irregular = irregular + self.apart::<S, Factors>(simd);
             }
             let both = self.zeros(irregular);
             return Regular {
@@ -398,7 +402,7 @@ impl Group<'_> {
                 elements: both,
             };
         }
-        let irregular = self.drifts::<S, P>(simd);
+        let irregular = self.apart::<S, Drifts<P>>(simd);
         let drifts = self.zeros(irregular);
         let mut elements = 0;
         if self.scope == Scope::All {
@@ -602,16 +606,14 @@ impl Group<'_> {
             self.dilated_drifts();
         }
         if self.along.multipliers.is_some() {
-            for node in 0..rod.n_nodes() {
-                self.inertia_curvatures(simd, node);
-            }
+            self.apart::<S, Inertias>(simd);
         }
         irregular
     }
 
     /// Curvatures of the inertia of a node over the intervals.
     #[inline(always)]
-    pub fn inertia_curvatures<S: Simd>(&mut self, simd: S, node: usize) {
+    fn inertia_curvatures<S: Simd>(&mut self, simd: S, node: usize) {
         let rod = self.along.motion.rod;
         let rotary = self.workspace.rotary(rod, node).map(|rotary| *rotary);
         let Workspace {
