@@ -482,7 +482,7 @@ times = [\"tendon.0.pretension_n\"]
         on_model(&overrides, |model| {
             let at = model.start();
             let steps: Steps = (0..2).map(|case| (case, (2e-4, "explicit"))).collect();
-            let alone = model.residuals(&[at.clone()], &steps).remove(0);
+            let alone = model.residuals(std::slice::from_ref(&at), &steps).remove(0);
             let beside = Beside::of(&at, &model.bounds());
             let here =
                 DVector::zeros(3 * model.cases.iter().map(|case| case.n_seen()).sum::<usize>());
