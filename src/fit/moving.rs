@@ -60,7 +60,7 @@ pub type Fewest = fn(TimeScheme) -> usize;
 pub fn fewest(scheme: TimeScheme) -> usize {
     match scheme {
         TimeScheme::Explicit => usize::MAX,
-        TimeScheme::Implicit => 6,
+        TimeScheme::Implicit => 8,
     }
 }
 
@@ -99,9 +99,8 @@ impl Model<'_> {
         (cases, steps): (&[usize], &Steps),
         (beside, fewest): (&Beside, Fewest),
     ) -> Result<Vec<DMatrix<f64>>, FitError> {
-        let n_threads = (self.n_threads / cases.len().max(1)).max(1);
         let swept = on_threads(cases.len(), self.n_threads, |i| {
-            self.swept(at, (cases[i], steps), beside, (n_threads, fewest))
+            self.swept(at, (cases[i], steps), beside, fewest)
         })?;
         let mut first = 0;
         let mut parts = Vec::with_capacity(cases.len());
@@ -129,9 +128,9 @@ impl Model<'_> {
         at: &[f64],
         (index, steps): (usize, &Steps),
         beside: &Beside,
-        (n_threads, fewest): (usize, Fewest),
+        fewest: Fewest,
     ) -> Result<Swept, FitError> {
-        match self.beside_motion(at, (index, steps), beside, (n_threads, fewest)) {
+        match self.beside_motion(at, (index, steps), beside, fewest) {
             Err(FitError::Stopped(stop)) => Err(FitError::Stopped(stop)),
             // Where a motion cannot be linearized, there may be others beside it.
             Err(_) => Ok(beside.points.iter().map(|_| None).collect()),
@@ -144,7 +143,7 @@ impl Model<'_> {
         at: &[f64],
         (index, steps): (usize, &Steps),
         beside: &Beside,
-        (n_threads, fewest): (usize, Fewest),
+        fewest: Fewest,
     ) -> Result<Swept, FitError> {
         let here = self.simulation(at, (index, steps))?;
         // Clocks move the end of a motion, and its time nodes with it.
@@ -167,7 +166,7 @@ impl Model<'_> {
         if is_alone.iter().all(|own| *own) {
             return Ok(beside.points.iter().map(|_| None).collect());
         }
-        let poses = self.poses_beside(at, (index, &here), (beside, &along), n_threads)?;
+        let poses = self.poses_beside(at, (index, &here), (beside, &along))?;
         let late = self.clock(at, index);
         let residuals = |i: usize| {
             let mut out = Vec::new();
@@ -189,7 +188,6 @@ impl Model<'_> {
         at: &[f64],
         (index, here): (usize, &Simulation),
         (beside, along): (&Beside, &[Along]),
-        n_threads: usize,
     ) -> Result<BTreeMap<(usize, usize), Vec<Pose>>, FitError> {
         let mut seen: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
         let late = self.clock(at, index);
@@ -200,11 +198,12 @@ impl Model<'_> {
         }
         let numbers: Vec<rollout::Beside> = along.iter().map(|own| own.beside.clone()).collect();
         let places = here.rod.places();
+        // On one thread: several have too little to do between two sights, and other recordings have theirs.
         let mut motion = SlopedMotion::new(
             (&here.rod, here.grid),
             &here.initial,
             &numbers,
-            (n_threads, self.stop),
+            (1, self.stop),
         );
         let mut poses = BTreeMap::new();
         for (node, markers) in seen {
@@ -451,7 +450,7 @@ times = [\"tendon.0.pretension_n\"]
                 let beside = Beside::of(&at, &model.bounds());
                 let cases: Vec<usize> = (0..model.cases.len()).collect();
                 for case in &cases {
-                    let swept = model.swept(&at, (*case, &steps), &beside, (1, |_| 0));
+                    let swept = model.swept(&at, (*case, &steps), &beside, |_| 0);
                     let swept = swept.expect("a sweep");
                     for (i, found) in swept.iter().enumerate() {
                         let is_clock = Some(i / 2) == clock;
