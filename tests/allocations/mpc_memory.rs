@@ -9,12 +9,23 @@ use softarm::mpc::{Controller, MpcSettings};
 use softarm::task::Discretization;
 
 /// One iteration of Gauss-Newton from a measured state (roll-out, linearization, condensing, subproblem with and without active bounds,
-/// step) and the move of the horizon allocate nothing after the first.
+/// step) and the move of the horizon allocate nothing after the first, along a path and, with the cost of what comes after the horizon, where it
+/// rests.
 #[test]
 fn samples_allocate_nothing() {
-    for largest_force in [0.5, 1e3] {
-        let settings = MpcSettings::receding(0.3);
-        let mut controller = tracking::controller(largest_force, &settings);
+    for (largest_force, terminal_cost) in [(0.5, false), (1e3, false), (1e3, true)] {
+        let settings = MpcSettings {
+            terminal_cost,
+            ..MpcSettings::receding(0.3)
+        };
+        let mut controller = if terminal_cost {
+            let mut task = tracking::task(largest_force);
+            task.cost.tracks[0].path = vec![(0.0, Vector3::new(0.05, 0.0, 0.9985))];
+            let (arm, discretization) = (tracking::arm(1e6), tracking::discretization());
+            Controller::new(&arm, &task, &discretization, &settings).unwrap()
+        } else {
+            tracking::controller(largest_force, &settings)
+        };
         let mut state = controller.expected().clone();
         controller.step(&state).unwrap();
         for sample in 0..50 {
