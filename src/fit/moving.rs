@@ -64,7 +64,7 @@ pub fn fewest(scheme: TimeScheme) -> usize {
     }
 }
 
-/// How a recording follows a number of the arm.
+/// The way in which a recording follows a number of the arm.
 enum Follows {
     /// By a sweep along the motion.
     Swept(Box<Along>),

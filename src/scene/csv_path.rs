@@ -1,7 +1,5 @@
 //! Paths to follow that stand in a CSV file beside the scene.
 
-use std::path::Path;
-
 use super::error::SceneError;
 use super::keys::{given, given_of};
 use super::model::{Scene, Track};
@@ -36,9 +34,7 @@ fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(
         let message = format!("path_csv and {other} are two paths");
         return Err(source.error_at(&key, message, Some("leave one out".into())));
     }
-    // Relative to the folder of the scene; a built-in scene has none.
-    let folder = Path::new(&source.name).parent().unwrap_or(Path::new(""));
-    let path = folder.join(&name);
+    let path = source.beside(&name);
     let refuse = |message: String| {
         let help = "a row a point, t in s, x, y and z in m, with increasing t, and after them, if it is to be turned, the quaternion w, x, y, z; a first row of names and lines that begin with # are passed over";
         source.error_at(

@@ -1,7 +1,5 @@
 //! The end of an earlier result, from which the scene's motion starts.
 
-use std::path::Path;
-
 use super::error::SceneError;
 use super::keys::Keys;
 use super::model::{Initial, InitialState, Scene};
@@ -49,9 +47,7 @@ impl Scene {
             return Err(keys.contradiction("initial.state", KEY));
         }
         let refuse = |message: String, help: &str| source.error_at(KEY, message, Some(help.into()));
-        // Relative to the folder of the scene; a built-in scene has none.
-        let folder = Path::new(&source.name).parent().unwrap_or(Path::new(""));
-        let directory = folder.join(&name);
+        let directory = source.beside(&name);
         let help = "name the directory that simulate, solve or mpc wrote, relative to the folder of the scene";
         let (kind, _) = (ResultKind::read(&directory)).map_err(|e| refuse(e.to_string(), help))?;
         if matches!(

@@ -4,6 +4,7 @@ use super::error::{Line, Place, SceneError, excerpt};
 use super::overrides::Override;
 use super::reader::{Mark, Misfit};
 use std::ops::Range;
+use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 
 /// The origin of a scene: its text and overrides, kept so that every later error can still name its line.
@@ -29,6 +30,12 @@ impl SceneSource {
                 .to_string(),
             overrides: overrides.to_vec(),
         }
+    }
+
+    /// Returns the place of a file or directory that the scene names relative to its folder; a built-in scene has none.
+    pub(super) fn beside(&self, name: &str) -> PathBuf {
+        let folder = Path::new(&self.name).parent().unwrap_or(Path::new(""));
+        folder.join(name)
     }
 
     /// Returns an error about the value at the dotted `key_path`, as in `rod.length_m` or `load.0.force_n`.

@@ -15,8 +15,11 @@ pub(crate) struct BeyondLearned {
 }
 
 impl BeyondLearned {
-    /// Looks at a configuration.
+    /// Looks at a configuration of a rod, if there are actuators, among which learned densities are.
     pub fn see(&mut self, rod: &Rod, poses: Poses) {
+        if rod.actuators.is_empty() {
+            return;
+        }
         let found = rod.beyond_learned(poses);
         self.n += 1;
         self.n_beyond += u32::from(found > 0);

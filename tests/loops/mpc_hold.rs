@@ -8,7 +8,7 @@ use softarm::scene::Scene;
 use softarm::stop::StopSignal;
 
 /// The scene of the tutorial on loops, under its heading.
-fn worked_scene() -> String {
+pub fn worked_scene() -> String {
     let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/loops.md"));
     let page = page.unwrap();
     let (_, section) = page.split_once("### A scene that holds a target").unwrap();
@@ -17,7 +17,7 @@ fn worked_scene() -> String {
 }
 
 /// A run of a scene with some keys changed, and the length of its arm.
-fn run(text: &str, changes: &[&str]) -> (Outcome, f64) {
+pub fn run(text: &str, changes: &[&str]) -> (Outcome, f64) {
     let changes: Vec<String> = changes.iter().map(|change| (*change).to_string()).collect();
     let (scene, source) = Scene::from_toml("worked", text, &changes).unwrap();
     let setup = scene

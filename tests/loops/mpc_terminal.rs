@@ -1,14 +1,11 @@
 //! The cost of what comes after a horizon: with it, short horizons do what long ones do.
 
-use std::ops::ControlFlow;
-
 use nalgebra::Vector3;
 use softarm::control::Bound;
-use softarm::mpc::{Contender, Controller, EffortFrom, KEPT, MpcError, MpcSettings, Outcome};
-use softarm::scene::Scene;
-use softarm::stop::StopSignal;
+use softarm::mpc::{Controller, EffortFrom, KEPT, MpcError, MpcSettings};
 use softarm::task::{Discretization, Task};
 
+use crate::mpc_hold::{run, worked_scene};
 use crate::tracking;
 
 /// Where a force on the tip of an arm of 1 m brings it, by `x` (m) to one side: the tip rises less by 3/5 of the square of its deflection.
@@ -90,25 +87,6 @@ fn another_place_has_its_own_cost() {
     assert!(with < 1e-3 && without > 0.1, "{with} {without}");
 }
 
-/// The scene of the page on loops that holds a target: an arm of 0.4 m, whose first period is 0.78 s.
-fn worked_scene() -> String {
-    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/loops.md"));
-    let page = page.unwrap();
-    let (_, section) = page.split_once("### A scene that holds a target").unwrap();
-    let (_, scene) = section.split_once("```toml").unwrap();
-    scene.split_once("```").unwrap().0.to_string()
-}
-
-fn run(text: &str, changes: &[&str]) -> Outcome {
-    let changes: Vec<String> = changes.iter().map(|change| (*change).to_string()).collect();
-    let (scene, source) = Scene::from_toml("terminal", text, &changes).unwrap();
-    let setup = scene
-        .closed_loop(&source, 1, &StopSignal::default())
-        .unwrap();
-    let outcome = (setup.experiment).run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()));
-    outcome.unwrap()
-}
-
 /// The error from 0.5 s on, when the tip has arrived, of the scene with a horizon of five samples in the place of 39: with the terminal cost it is
 /// not larger than with the long horizon, although the arm is a fifth softer than the model; without, it is many times as large. So it is for
 /// four tendons, of which none pushes.
@@ -126,7 +104,7 @@ fn five_samples_do_what_forty_did() {
         let off = |horizon: &str, changes: &[&str]| {
             let horizon = format!("mpc.horizon_s={horizon}");
             let common = ["mpc.counted_from_s=0.6", "mpc.duration_s=2.5", &horizon];
-            run(&text, &[&common[..], changes].concat()).tip_error.rms
+            run(&text, &[&common[..], changes].concat()).0.tip_error.rms
         };
         let long = off(long, &[block]);
         let with = off(short, &["mpc.block_s=0.005", "mpc.terminal_cost=true"]);
@@ -159,7 +137,7 @@ fn short_horizons_brake_before_a_wall() {
                 force,
                 &terminal,
             ];
-            let outcome = run(&text, &changes);
+            let (outcome, _) = run(&text, &changes);
             let tips = outcome.samples.iter().map(|sample| sample.tip[0]);
             let worst = tips.fold(f64::MIN, f64::max) + 0.008 - 0.163;
             (worst, outcome.tally.breaking)

@@ -50,7 +50,8 @@ impl ReferencePose {
     }
 }
 
-fn six(a: Vector3<f64>, b: Vector3<f64>) -> Vector6<f64> {
+/// Returns two vectors, one after the other.
+pub(super) fn six(a: Vector3<f64>, b: Vector3<f64>) -> Vector6<f64> {
     Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
 }
 

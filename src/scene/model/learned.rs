@@ -440,13 +440,10 @@ impl Keys<'_> {
 
 /// Files of weights.
 mod file {
-    use std::io::Read as _;
-    use std::path::Path;
-
     use safetensors::{Dtype, SafeTensors};
 
     use super::{LearnedRest, SceneError, SceneSource, given, given_of};
-    use crate::output::open_regular;
+    use crate::output::read_regular;
 
     /// Largest file, bytes.
     const LARGEST: u64 = 16 << 20;
@@ -478,13 +475,10 @@ mod file {
             let message = format!("file and {other} are two places of the same numbers");
             return Err(refuse(message, "leave one out"));
         }
-        let folder = Path::new(&source.name).parent().unwrap_or(Path::new(""));
-        let path = folder.join(&name);
+        let path = source.beside(&name);
         let at = |words: String| format!("{}: {words}", path.display());
-        let mut bytes = Vec::new();
-        let mut file =
-            open_regular(&path, LARGEST).map_err(|error| refuse(at(error.to_string()), ""))?;
-        (file.read_to_end(&mut bytes)).map_err(|error| refuse(at(error.to_string()), ""))?;
+        let bytes =
+            read_regular(&path, LARGEST).map_err(|error| refuse(at(error.to_string()), ""))?;
         let help = "a safetensors file has tensors weights [n], and centers [n, m] and radii [m], or slopes [n, m] and offsets [n], of F32 or F64";
         let tensors = SafeTensors::deserialize(&bytes)
             .map_err(|error| refuse(at(error.to_string()), help))?;

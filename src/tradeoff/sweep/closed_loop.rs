@@ -247,7 +247,12 @@ impl Work<'_, '_> {
             for part in HORIZONS {
                 add(&|setting| setting.horizon_s = Some(whole(part)));
             }
-            for part in SEEING_BEYOND.into_iter().filter(|_| self.sees_beyond()) {
+            let beyond: &[f64] = if self.sees_beyond() {
+                &SEEING_BEYOND
+            } else {
+                &[]
+            };
+            for &part in beyond {
                 add(&|setting| {
                     setting.horizon_s = Some(whole(part));
                     setting.terminal_cost = Some(true);

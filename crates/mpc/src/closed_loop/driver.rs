@@ -532,9 +532,7 @@ impl Driver {
             self.is_lost = true;
         }
     }
-}
 
-impl Driver {
     /// Lets the fallbacks seek where the arm may stop. Its last known shape is that of the last knowledge, moved on by the model under the
     /// commands since where the controller has predicted this.
     fn prepare_fallback(&mut self) {

@@ -17,6 +17,7 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3, Vector6};
 
+use crate::holding::six;
 use control::path::RodView;
 use control::residual::{Residual, States, cost_residuals};
 use control::{ControlGrid, HeldModes, Hold, OptimalControlProblem, block_transitions};
@@ -237,10 +238,6 @@ impl TerminalCost {
     fn turn(&self, q: usize, r: &nalgebra::Matrix3<f64>) -> Vector3<f64> {
         log(&(self.shape.rotations[q].transpose() * r))
     }
-}
-
-fn six(a: Vector3<f64>, b: Vector3<f64>) -> Vector6<f64> {
-    Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
 }
 
 /// The motion of the slow modes over a part of a block, in their coordinates `r`, and the rows of its tracking cost.

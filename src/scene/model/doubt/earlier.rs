@@ -5,14 +5,11 @@
 //! `⌊ε(n+1)⌋ - 1` of `n` scores exceed: if a further run is of the same kind as these, its score is at most `γ` with a probability of `1 - ε`
 //! (split conformal prediction; Vovk, Gammerman and Shafer 2005).
 
-use std::io::Read as _;
-use std::path::Path;
-
 use serde::Deserialize;
 
 use super::super::Scene;
 use crate::control::PathEnforcement;
-use crate::output::open_regular;
+use crate::output::read_regular;
 use crate::scene::{SceneError, SceneSource};
 use crate::verify::doubt::Margins;
 
@@ -22,7 +19,7 @@ const LARGEST: u64 = 16 << 20;
 /// A summary, as far as margins follow from it.
 #[derive(Deserialize)]
 struct Run {
-    /// How the run ended; absent in a file of one's own.
+    /// End of the run, in a word; absent in a file of one's own.
     status: Option<String>,
     limits: Vec<Peak>,
 }
@@ -62,7 +59,7 @@ impl Scene {
             let message = "runs and margins are two places of the same numbers".into();
             return refuse("doubt.margins", message, help);
         }
-        let Some(share) = doubt.share.filter(|share| *share > 0.0 && *share < 1.0) else {
+        let Some(share) = doubt.share else {
             let help = "give doubt.share: the part of further runs that may leave a limit";
             return refuse("doubt.runs", "a share is missing".into(), help);
         };
@@ -99,17 +96,14 @@ fn residuals_of(
     source: &SceneSource,
     names: &[(String, bool)],
 ) -> Result<Option<Vec<f64>>, (String, String)> {
-    let folder = Path::new(&source.name).parent().unwrap_or(Path::new(""));
-    let mut path = folder.join(run);
+    let mut path = source.beside(run);
     if path.is_dir() {
         path = path.join("summary.json");
     }
     let help = "a run is a result directory of softarm mpc, or a file with `limits`, each with name, excess and margin, as its summary.json";
     let at = |words: String| (format!("{}: {words}", path.display()), help.to_string());
-    let mut text = String::new();
-    let mut file = open_regular(&path, LARGEST).map_err(|error| at(error.to_string()))?;
-    (file.read_to_string(&mut text)).map_err(|error| at(error.to_string()))?;
-    let found: Run = serde_json::from_str(&text).map_err(|error| at(error.to_string()))?;
+    let bytes = read_regular(&path, LARGEST).map_err(|error| at(error.to_string()))?;
+    let found: Run = serde_json::from_slice(&bytes).map_err(|error| at(error.to_string()))?;
     match found.status.as_deref() {
         None | Some("completed") => {}
         Some("failed") => return Ok(None),
@@ -162,8 +156,8 @@ fn margins(runs: &[Option<Vec<f64>>], most: usize, n_limits: usize) -> Option<Ve
 mod tests {
     use super::*;
 
-    /// Of further runs of the same kind, a part of at most `share` needs more than the margins, in the mean over sets of runs: for residuals of
-    /// two limits of which one has heavy tails, and of which one run in twenty breaks down.
+    /// A part of at most `share` of further runs of the same kind needs more than the margins, in the mean over sets of runs: for residuals of two
+    /// limits of which one has heavy tails, and of which one run in twenty breaks down.
     #[test]
     fn a_share_of_further_runs_needs_more() {
         let mut random = fastrand::Rng::with_seed(7);
@@ -177,12 +171,12 @@ mod tests {
             for _ in 0..4000 {
                 let runs: Vec<_> = (0..n).map(|_| run()).collect();
                 let further = run();
-                // Without margins nothing is promised, so that every run counts as leaving.
-                let keeps = margins(&runs, most, 2).is_some_and(|margins| {
-                    further.is_some_and(|own| own.iter().zip(&margins).all(|(e, m)| e <= m))
+                // Without margins nothing is promised.
+                let leaves_them = margins(&runs, most, 2).is_some_and(|margins| {
+                    further.is_none_or(|own| own.iter().zip(&margins).any(|(e, m)| e > m))
                 });
                 tried += 1;
-                leaves += usize::from(!keeps && margins(&runs, most, 2).is_some());
+                leaves += usize::from(leaves_them);
             }
             let part = f64::from(leaves as u32) / f64::from(tried);
             // Three standard deviations of the count above the share.
