@@ -4,9 +4,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use super::error::SceneError;
-use super::model::{
-    self, Computing as ComputingKey, EstimatorKind, Mpc, Plant, Scene, Sensor as SensorKeys,
-};
+use super::model::{self, ComputingKey, EstimatorKind, Mpc, PlantKeys, Scene, SensorKeys};
 use super::section::profile;
 use super::source::SceneSource;
 use super::values::{Instant, Number, Positive, digits, known};
@@ -390,7 +388,7 @@ impl Scene {
         let keys = self.plant.clone().unwrap_or_default();
         let mut plant = arm.clone();
         let [stiffness, density] = [keys.stiffness_factor.get(), keys.density_factor.get()];
-        if let Some(shapes) = keys.section.as_ref().and_then(model::Section::shapes) {
+        if let Some(shapes) = keys.section.as_ref().and_then(model::SectionKeys::shapes) {
             let [base, tip] = shapes.map(|shape| shape.half_width());
             plant.radii = vec![(0.0, base), (1.0, tip)];
             if let Some(material) = self.material() {
@@ -453,8 +451,8 @@ impl Scene {
         own.unwrap_or_default()
     }
 
-    fn resolved_plant(&self, plant: &Arm, discretization: &Discretization) -> Plant {
-        Plant {
+    fn resolved_plant(&self, plant: &Arm, discretization: &Discretization) -> PlantKeys {
+        PlantKeys {
             elements: Some(discretization.elements),
             viscous_1_s: Some(known(plant.viscous_damping)),
             internal_s: Some(known(plant.internal_damping)),

@@ -2,7 +2,7 @@
 
 use super::error::SceneError;
 use super::keys::{given, given_of};
-use super::model::{Scene, Track};
+use super::model::{Scene, TrackKeys};
 use super::source::SceneSource;
 use crate::output::open_regular;
 
@@ -25,7 +25,7 @@ impl Scene {
     }
 }
 
-fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(), SceneError> {
+fn read_path(track: &mut TrackKeys, source: &SceneSource, section: &str) -> Result<(), SceneError> {
     let Some(name) = track.path_csv.take() else {
         return Ok(());
     };

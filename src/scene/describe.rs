@@ -3,9 +3,9 @@
 use super::error::DescribeError;
 use super::model::geometry::wxyz;
 use super::model::{
-    Base, Contact, EndKind, Initial, Limit, Objective, Obstacle, Reference, Rod, Scene, Solver,
-    Time, Tip, describe_hardware, describe_learned, describe_section, described_control,
-    described_end, described_targets, described_task, describing_poses,
+    Base, ContactKeys, EndKind, Initial, LimitKeys, ObjectiveKeys, Obstacle, Reference, RodKeys,
+    Scene, SolverKeys, Time, Tip, describe_hardware, describe_learned, describe_section,
+    described_control, described_end, described_targets, described_task, describing_poses,
 };
 use super::values::known;
 use crate::sqp::SqpSettings;
@@ -39,20 +39,20 @@ impl Scene {
             tip: (tip.kind != EndKind::Free).then_some(tip),
             magnet,
             cable,
-            contact: arm.contacts.iter().map(Contact::describing).collect(),
+            contact: arm.contacts.iter().map(ContactKeys::describing).collect(),
             initial: Some(Initial::describing(&task.start)),
             task: goal.map(|goal| described_task(problem, goal, via)),
             control: Some(described_control(problem)?),
             obstacle: obstacles.iter().map(Obstacle::describing).collect(),
             limit: (limits.iter())
-                .map(|limit| Limit::describing(limit, mesh))
+                .map(|limit| LimitKeys::describing(limit, mesh))
                 .collect(),
-            objective: Some(Objective::describing(problem)),
-            solver: Some(Solver {
+            objective: Some(ObjectiveKeys::describing(problem)),
+            solver: Some(SolverKeys {
                 tolerance: known(settings.tolerance),
                 max_iterations: settings.max_iterations,
                 saddle_gain: known(settings.saddle_gain),
-                ..Solver::default()
+                ..SolverKeys::default()
             }),
             ..Scene::bare(rod, time)
         };
@@ -93,9 +93,9 @@ fn described_tip(arm: &Arm) -> Result<Tip, DescribeError> {
     })
 }
 
-fn described_rod(problem: &Problem) -> Result<Rod, DescribeError> {
+fn described_rod(problem: &Problem) -> Result<RodKeys, DescribeError> {
     let (arm, chosen) = (&problem.arm, &problem.discretization);
-    let mut rod = Rod {
+    let mut rod = RodKeys {
         length_m: known(arm.length),
         elements: chosen.elements,
         accuracy: None,

@@ -196,7 +196,10 @@ fn item_name(scene: &toml::Value, path: &[String]) -> Option<(&'static str, Stri
         "contact" => Some(("contact", model::contact_name(name.as_deref(), index))),
         "limit" => {
             let is_given = |key: &str| item.get(key).is_some();
-            Some(("limit", model::Limit::name_by(name.as_deref(), is_given)))
+            Some((
+                "limit",
+                model::LimitKeys::name_by(name.as_deref(), is_given),
+            ))
         }
         _ => None,
     }

@@ -42,7 +42,7 @@ impl Scene {
     pub(crate) fn radii(&self) -> Vec<(f64, f64)> {
         let rod = &self.rod;
         let of = |parts: Parts, own: Option<Positive<Radius>>, [from, to]: [f64; 2]| {
-            (parts.section.and_then(model::Section::radii))
+            (parts.section.and_then(model::SectionKeys::radii))
                 .or(own.or(rod.display_radius_m).map(|radius| [radius.get(); 2]))
                 .map_or_else(Vec::new, |[a, b]| vec![(from, a), (to, b)])
         };
@@ -61,7 +61,7 @@ impl Scene {
     }
 }
 
-fn material_of(material: &model::Material) -> Option<Material> {
+fn material_of(material: &model::MaterialKeys) -> Option<Material> {
     Some(Material {
         youngs_modulus: material.youngs_modulus()?,
         shear_modulus: material.shear_modulus()?,

@@ -183,15 +183,15 @@ fn defaults_are_as_documented() {
     );
     assert_eq!(
         scene.solver,
-        Some(Solver {
+        Some(SolverKeys {
             guess: Some(Guess::Rest),
-            ..Solver::default()
+            ..SolverKeys::default()
         })
     );
     assert_eq!(
         (
-            Solver::default().tolerance.get(),
-            Solver::default().max_iterations
+            SolverKeys::default().tolerance.get(),
+            SolverKeys::default().max_iterations
         ),
         (1e-6, 600)
     );
@@ -378,7 +378,10 @@ fn described_defaults_are_true() {
     }
     let mut seen = Vec::new();
     visit(&Scene::schema(), "Scene", &mut seen);
-    assert!(seen.contains(&"Solver.max_iterations".into()), "{seen:?}");
+    assert!(
+        seen.contains(&"SolverKeys.max_iterations".into()),
+        "{seen:?}"
+    );
     assert!(seen.len() >= 15, "{seen:?}");
 }
 

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::SceneError;
-use super::model::{self, Objective, Scene, end_condition};
+use super::model::{self, ObjectiveKeys, Scene, end_condition};
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, digits, known};
@@ -549,9 +549,13 @@ impl Scene {
     /// This scene with the figures of its material in place of the name.
     fn with_material_resolved(&self) -> Scene {
         let mut resolved = self.clone();
-        resolved.rod.material = self.rod.material.as_ref().map(model::Material::resolved);
+        resolved.rod.material = self
+            .rod
+            .material
+            .as_ref()
+            .map(model::MaterialKeys::resolved);
         for segment in &mut resolved.rod.segment {
-            segment.material = segment.material.as_ref().map(model::Material::resolved);
+            segment.material = segment.material.as_ref().map(model::MaterialKeys::resolved);
         }
         resolved
     }
@@ -577,8 +581,8 @@ impl Scene {
 }
 
 impl Scene {
-    /// Returns the objective as it was [resolved](Objective::resolved) for a problem.
-    pub(super) fn resolved_objective(&self, problem: &OptimalControlProblem) -> Objective {
+    /// Returns the objective as it was [resolved](ObjectiveKeys::resolved) for a problem.
+    pub(super) fn resolved_objective(&self, problem: &OptimalControlProblem) -> ObjectiveKeys {
         let objective = self.objective.clone().unwrap_or_default();
         objective.resolved(problem)
     }

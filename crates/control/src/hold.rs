@@ -61,6 +61,28 @@ const QUADRATURE: [(f64, f64); 4] = [
     (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
 ];
 
+/// Returns the B-splines of a degree up to 3 that do not vanish between the knots 0 and 1, and their derivatives along `t`, by the recursion
+/// of Cox and de Boor. The knots from `1 - degree` to `degree` increase, and knot 1 is beyond knot 0.
+#[must_use]
+pub fn b_splines(knot: impl Fn(isize) -> f64, degree: usize, t: f64) -> ([f64; 4], [f64; 4]) {
+    let mut values = [1.0, 0.0, 0.0, 0.0];
+    let mut slopes = [0.0; 4];
+    for p in 1..=degree {
+        let lower = values;
+        values = [0.0; 4];
+        slopes = [0.0; 4];
+        for i in 0..p {
+            let (left, right) = (knot(i as isize + 1 - p as isize), knot(i as isize + 1));
+            let part = lower[i] / (right - left);
+            values[i] += (right - t) * part;
+            values[i + 1] += (t - left) * part;
+            slopes[i] -= p as f64 * part;
+            slopes[i + 1] += p as f64 * part;
+        }
+    }
+    (values, slopes)
+}
+
 impl ControlGrid {
     /// Divides `n_steps` steps into `n_blocks` blocks, as equal as whole steps allow; `None` if there are no blocks or fewer steps than
     /// blocks.
@@ -151,29 +173,12 @@ impl ControlGrid {
     /// Returns the basis functions that do not vanish in a block, at the fraction `s` of it, from the block's own index on, and their
     /// derivatives, 1/s.
     fn basis(&self, block: usize, s: f64) -> ([f64; 4], [f64; 4]) {
-        // De Boor's recursion over the knots around the block, which repeat at either end.
         let knot = |i: isize| {
             let last = self.edges.len() as isize - 1;
             self.edges[(block as isize + i).clamp(0, last) as usize] as f64
         };
-        let (from, to) = (knot(0), knot(1));
-        let t = from + s * (to - from);
-        let degree = self.hold.degree();
-        let mut values = [1.0, 0.0, 0.0, 0.0];
-        let mut slopes = [0.0; 4];
-        for p in 1..=degree {
-            let lower = values;
-            values = [0.0; 4];
-            slopes = [0.0; 4];
-            for i in 0..p {
-                let (left, right) = (knot(i as isize + 1 - p as isize), knot(i as isize + 1));
-                let part = lower[i] / (right - left);
-                values[i] += (right - t) * part;
-                values[i + 1] += (t - left) * part;
-                slopes[i] -= p as f64 * part;
-                slopes[i + 1] += p as f64 * part;
-            }
-        }
+        let t = knot(0) + s * (knot(1) - knot(0));
+        let (values, slopes) = b_splines(knot, self.hold.degree(), t);
         (values, slopes.map(|slope| slope / self.step))
     }
 

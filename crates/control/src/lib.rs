@@ -72,7 +72,7 @@ pub use feedback::{
 };
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use held::Held;
-pub use hold::{ControlGrid, Hold};
+pub use hold::{ControlGrid, Hold, b_splines};
 pub use holding::{CannotHold, Holding, HoldingError, NotFound, holding};
 #[doc(hidden)]
 pub use holding::{ControlsAlong, HeldModes, HeldTarget};

@@ -70,7 +70,7 @@ pub use report::{
     TradeoffPoint, compare, render_comparison,
 };
 #[doc(hidden)]
-pub use report::{PAGE_STYLE, fill, scene_differences};
+pub use report::{PAGE_STYLE, entries, fill, scene_differences};
 #[doc(hidden)]
 pub use residuals::{ResidualRow, read_residuals, write_residuals};
 #[doc(hidden)]

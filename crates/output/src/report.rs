@@ -16,8 +16,8 @@ pub use self::render::PAGE_STYLE;
 pub use self::render::render_report;
 pub use self::render::{PAGE_MARK, render_comparison};
 pub use self::words::Columns;
-pub use self::words::fill;
 pub use self::words::{Facts, Words};
+pub use self::words::{entries, fill};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

@@ -4,7 +4,7 @@ use faer::Mat;
 use nalgebra::{DMatrix, DVector};
 
 use super::definition::{ControlGroup, OwnActuator};
-use control::{Bound, Channel};
+use control::{Bound, Channel, b_splines};
 use mechanics::{Actuator, Rod, SharedActuator, StateView, Wrench};
 
 /// A couple per rest length along the arm, `m(s)` in N m/m, in the body frame of every section.
@@ -169,27 +169,15 @@ pub fn basis(n: usize, places: &[f64]) -> DMatrix<f64> {
     at(places) * coefficients.unwrap_or_else(|| DMatrix::zeros(n_data, n))
 }
 
-/// Returns the values of all B-splines at a place, by the recursion of Cox and de Boor.
+/// Returns the values of all B-splines at a place.
 fn splines(knots: &[f64], degree: usize, n: usize, s: f64) -> DVector<f64> {
     let s = s.clamp(0.0, 1.0);
     // The last span is closed.
     let span = (degree..n).rev().find(|&i| knots[i] <= s).unwrap_or(degree);
+    let (own, _) = b_splines(|i| knots[span.saturating_add_signed(i)], degree, s);
     let mut values = DVector::zeros(n);
-    values[span] = 1.0;
-    for p in 1..=degree {
-        for i in span - p..=span {
-            let ramp = |from: usize, to: usize, along: f64| {
-                let width = knots[to] - knots[from];
-                if width > 0.0 { along / width } else { 0.0 }
-            };
-            let left = ramp(i, i + p, s - knots[i]) * values[i];
-            let right = if i + 1 < n {
-                ramp(i + 1, i + p + 1, knots[i + p + 1] - s) * values[i + 1]
-            } else {
-                0.0
-            };
-            values[i] = left + right;
-        }
+    for (value, own) in values.iter_mut().skip(span - degree).zip(&own[..=degree]) {
+        *value = *own;
     }
     values
 }

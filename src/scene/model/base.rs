@@ -30,7 +30,7 @@ pub struct Base {
     /// Axis of a pinned base that is a hinge, spatial frame, of any length but zero. Default: none, a ball joint.
     pub axis: Option<[f64; 3]>,
     /// Prescribed motion of a driven base.
-    pub motion: Option<BaseMotion>,
+    pub motion: Option<BaseMotionKeys>,
 }
 
 /// Condition of the tip, and the pose in which it is held.
@@ -55,7 +55,7 @@ pub struct Tip {
     /// Axis of a pinned tip that is a hinge, spatial frame, of any length but zero. Default: none, a ball joint.
     pub axis: Option<[f64; 3]>,
     /// Prescribed motion of a driven tip, relative to the pose in which it is held.
-    pub motion: Option<BaseMotion>,
+    pub motion: Option<BaseMotionKeys>,
 }
 
 fn free_tip() -> EndKind {
@@ -84,7 +84,7 @@ impl Default for Tip {
 /// moves with it as a rigid body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct BaseMotion {
+pub struct BaseMotionKeys {
     /// Constant velocity in m/s. Default: none.
     pub velocity_m_s: [f64; 3],
     /// Constant angular velocity in rad/s. Default: none.
@@ -101,13 +101,13 @@ pub struct BaseMotion {
     pub rotation_frame: LoadFrame,
     /// Harmonic terms.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub oscillation: Vec<Oscillation>,
+    pub oscillation: Vec<OscillationKeys>,
 }
 
 /// A harmonic motion, amplitude times sin(2π f t + phase) - sin(phase): zero at t = 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Oscillation {
+pub struct OscillationKeys {
     /// Amplitude of the displacement in m. Default: none.
     #[serde(default)]
     pub translation_m: [f64; 3],
@@ -197,7 +197,7 @@ struct End<'a> {
     roll_rad: Option<f64>,
     orientation_wxyz: Option<[f64; 4]>,
     axis: Option<[f64; 3]>,
-    motion: Option<&'a BaseMotion>,
+    motion: Option<&'a BaseMotionKeys>,
 }
 
 impl super::Scene {
@@ -308,7 +308,7 @@ impl Keys<'_> {
         }
     }
 
-    fn check_motion(&self, name: &str, motion: &BaseMotion) -> Checked {
+    fn check_motion(&self, name: &str, motion: &BaseMotionKeys) -> Checked {
         let key = |own: &str| format!("{name}.{own}");
         self.finite(&key("velocity_m_s"), &motion.velocity_m_s)?;
         self.finite(
@@ -335,7 +335,7 @@ impl Keys<'_> {
 pub(in crate::scene) fn end_condition(
     kind: EndKind,
     axis: Option<[f64; 3]>,
-    motion: Option<&BaseMotion>,
+    motion: Option<&BaseMotionKeys>,
     orientation: &Matrix3<f64>,
 ) -> Result<EndCondition, RodError> {
     Ok(match kind {
@@ -352,7 +352,7 @@ pub(in crate::scene) fn end_condition(
 }
 
 /// Kind, axis and motion of an end.
-type DescribedEnd = (EndKind, Option<[f64; 3]>, Option<BaseMotion>);
+type DescribedEnd = (EndKind, Option<[f64; 3]>, Option<BaseMotionKeys>);
 
 /// Returns the keys of an end with this condition.
 pub(in crate::scene) fn described_end(end: &EndCondition) -> Result<DescribedEnd, DescribeError> {
@@ -395,12 +395,12 @@ fn unrolled(rows: &[[f64; 4]]) -> Vec<[f64; 4]> {
 /// Returns the motion of an end with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its
 /// frame.
 fn base_motion(
-    motion: &BaseMotion,
+    motion: &BaseMotionKeys,
     orientation: &Matrix3<f64>,
 ) -> Result<mechanics::BaseMotion, RodError> {
     let curve = |rate: [f64; 3],
                  table: &Option<Vec<[f64; 4]>>,
-                 amplitude: fn(&Oscillation) -> [f64; 3],
+                 amplitude: fn(&OscillationKeys) -> [f64; 3],
                  own: Matrix3<f64>|
      -> Result<MotionCurve, RodError> {
         let point = |&[t, x, y, z]: &[f64; 4]| (t, own * Vector3::new(x, y, z));
@@ -438,7 +438,7 @@ fn base_motion(
     })
 }
 
-fn described_motion(motion: &mechanics::BaseMotion) -> Result<BaseMotion, DescribeError> {
+fn described_motion(motion: &mechanics::BaseMotion) -> Result<BaseMotionKeys, DescribeError> {
     let table = |curve: &MotionCurve| {
         (curve.table.as_ref()).map(|table| {
             (table.points())
@@ -456,14 +456,14 @@ fn described_motion(motion: &mechanics::BaseMotion) -> Result<BaseMotion, Descri
             "an end of it translates and rotates at different frequencies",
         ));
     }
-    Ok(BaseMotion {
+    Ok(BaseMotionKeys {
         velocity_m_s: translation.rate.into(),
         angular_velocity_rad_s: rotation.rate.into(),
         translation_m: table(translation),
         rotation_rad: table(rotation),
         rotation_frame: LoadFrame::Body,
         oscillation: pairs()
-            .map(|(translation, rotation)| Oscillation {
+            .map(|(translation, rotation)| OscillationKeys {
                 translation_m: translation.amplitude.into(),
                 rotation_rad: rotation.amplitude.into(),
                 frequency_hz: known(translation.frequency),

@@ -15,7 +15,7 @@ use crate::mechanics;
 /// through a thin body between two time steps, and one that is pressed in deeper than its middle.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Contact {
+pub struct ContactKeys {
     /// Name in results. Default: "contact" and its number, from 0.
     pub name: Option<String>,
     /// All points within a distance of a center.
@@ -42,7 +42,7 @@ pub struct Contact {
     pub to: Fraction,
 }
 
-impl Contact {
+impl ContactKeys {
     /// Name in results and errors: its own, or its place in the list.
     #[must_use]
     pub fn name(&self, index: usize) -> String {
@@ -107,7 +107,7 @@ pub(in crate::scene) fn contact_name(own: Option<&str>, index: usize) -> String 
 }
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_contact(&self, contact: &Contact, index: usize) -> Checked {
+    pub(in crate::scene) fn check_contact(&self, contact: &ContactKeys, index: usize) -> Checked {
         let section = format!("contact.{index}");
         let (from, to) = (contact.from.get(), contact.to.get());
         (self.check_bodies(&section, &contact.bodies()))

@@ -47,7 +47,7 @@ pub struct Control {
     pub keep_taut: bool,
     /// Forces and moments on other nodes than the tip.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub actuator: Vec<Actuator>,
+    pub actuator: Vec<ActuatorKeys>,
     /// Couples along the arm. Absent: there are none.
     pub distributed: Option<Distributed>,
     /// Weights of the regulator along the solution; the table may be empty. Absent: no gains are computed.
@@ -73,7 +73,7 @@ pub struct Distributed {
 /// A force (spatial frame) and a moment (the node's body frame) that the optimizer may choose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Actuator {
+pub struct ActuatorKeys {
     /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
     pub node: usize,
     /// Largest force in N; `inf` is unbounded, and 0 is no force. Absent: there is no force.
@@ -359,7 +359,7 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
         moment_rate_max_n_m_s: rate(&tip.moment),
         keep_taut: problem.task.keeps_taut,
         actuator: (others.iter())
-            .map(|other| Actuator {
+            .map(|other| ActuatorKeys {
                 node: other.at.node(mesh),
                 force_max_n: bound(other.force.bound),
                 force_axes: axes(&other.force),

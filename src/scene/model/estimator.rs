@@ -13,7 +13,7 @@ use crate::mpc::{Needs, Sensing, SensorChoice, SensorSettings, Unknown, Unknowns
 /// Estimator of the state from sensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Estimator {
+pub struct EstimatorKeys {
     /// Method.
     pub kind: EstimatorKind,
     /// Number of elements of the estimator's own model, 1 to 5000. The cost of a Kalman filter grows with its third
@@ -46,7 +46,7 @@ pub enum EstimatorKind {
     Kalman,
 }
 
-impl Estimator {
+impl EstimatorKeys {
     /// Unknowns that are estimated besides the state, on the arm of a scene.
     pub(in crate::scene) fn unknowns(&self, scene: &Scene) -> Vec<Unknown> {
         match (&self.disturbances, self.kind) {
@@ -76,7 +76,7 @@ fn unmoved(unknown: Unknown, scene: &Scene) -> Option<[String; 2]> {
     })
 }
 
-impl Estimator {
+impl EstimatorKeys {
     /// Returns the sensing that estimates the state and the unknowns from these sensors, or that knows the true state at once.
     pub(in crate::scene) fn sensing(
         &self,
@@ -104,7 +104,7 @@ impl Estimator {
 impl Keys<'_> {
     pub(in crate::scene) fn check_estimator(
         &self,
-        estimator: &Estimator,
+        estimator: &EstimatorKeys,
         scene: &Scene,
     ) -> Checked {
         let no_sensor = scene.sensor.is_empty();

@@ -22,7 +22,7 @@ const GRADIENT: [&str; 5] = ["Gxx", "Gxy", "Gxz", "Gyy", "Gyz"];
 /// `field_t` they are controls, with `profile` they are given, in simulations too; those of G likewise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Magnet {
+pub struct MagnetKeys {
     /// Name in results, one for each actuator. Absent: the word magnet with its place in the list, from 0.
     pub name: Option<String>,
     /// Place on the arm, as a fraction of `rod.length_m` from the base. An element ends there. Default: 1, the tip.
@@ -69,7 +69,7 @@ pub struct Magnet {
 /// control, with `profile` it is given, in simulations too.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Cable {
+pub struct CableKeys {
     /// Name in results, one for each actuator. Absent: the word cable with its place in the list, from 0.
     pub name: Option<String>,
     /// Place on the arm where it is attached, as a fraction of `rod.length_m` from the base. An element ends there. Default: 1, the tip.
@@ -103,7 +103,7 @@ struct PoseEffort {
     rows: Vec<(f64, f64)>,
 }
 
-impl Magnet {
+impl MagnetKeys {
     fn name(&self, index: usize) -> String {
         (self.name.clone()).unwrap_or_else(|| format!("magnet {index}"))
     }
@@ -187,7 +187,7 @@ impl Magnet {
     }
 }
 
-impl Cable {
+impl CableKeys {
     fn effort(&self, index: usize) -> PoseEffort {
         let [x, y] = self.offset_m;
         PoseEffort {
@@ -268,8 +268,8 @@ impl Scene {
         let magnets = magnets.filter(|(_, own)| own.field_of.is_none());
         let magnets = magnets.flat_map(|(index, own)| {
             let name = own.name(index);
-            let feels = |other: &&Magnet| other.field_of.as_ref() == Some(&name);
-            let feeling: Vec<&Magnet> = self.magnet.iter().filter(feels).collect();
+            let feels = |other: &&MagnetKeys| other.field_of.as_ref() == Some(&name);
+            let feeling: Vec<&MagnetKeys> = self.magnet.iter().filter(feels).collect();
             own.efforts(index, &feeling)
         });
         let cables = self.cable.iter().enumerate();
@@ -333,7 +333,7 @@ impl Keys<'_> {
         Ok(())
     }
 
-    fn check_magnet(&self, scene: &Scene, magnet: &Magnet, section: &str) -> Checked {
+    fn check_magnet(&self, scene: &Scene, magnet: &MagnetKeys, section: &str) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
         let [moment, remanence, volume, axis, along, at] =
             given!(magnet: moment_a_m2, remanence_t, volume_m3, axis, along, at);
@@ -403,7 +403,7 @@ pub(in crate::scene) fn describing_poses(
     actuators: &[PoseActuator],
     first: usize,
     efforts: &[EffortControl],
-) -> Option<(Vec<Magnet>, Vec<Cable>)> {
+) -> Option<(Vec<MagnetKeys>, Vec<CableKeys>)> {
     let control = |at: usize| efforts.iter().find(|own| own.actuator == first + at);
     let controls: Vec<_> = (0..actuators.len()).map(control).collect();
     if controls.iter().flatten().any(|own| own.scale.is_some()) {
@@ -461,10 +461,10 @@ impl DescribedPoses<'_> {
         any.then(|| std::array::from_fn(range))
     }
 
-    fn cable(&self, at: usize, place: Place, cable: &mechanics::Cable) -> Cable {
+    fn cable(&self, at: usize, place: Place, cable: &mechanics::Cable) -> CableKeys {
         let own = &self.actuators[at];
         let rows = own.effort.iter().map(|&(t, effort)| [t, effort]).collect();
-        Cable {
+        CableKeys {
             name: Some(own.name.clone()).filter(|name| !name.is_empty()),
             at: known(place.fraction()),
             offset_m: [cable.offset.x, cable.offset.y],
@@ -477,7 +477,7 @@ impl DescribedPoses<'_> {
     }
 
     /// Returns the magnets of the field whose first component has this index, and the number of its components.
-    fn magnets(&self, at: usize) -> Option<(Vec<Magnet>, usize)> {
+    fn magnets(&self, at: usize) -> Option<(Vec<MagnetKeys>, usize)> {
         let name = (self.actuators[at].name.strip_suffix(FIELD[0])?.trim_end()).to_string();
         let are = |at: usize, suffixes: &[&str]| {
             suffixes.iter().enumerate().all(|(i, suffix)| {
@@ -493,14 +493,14 @@ impl DescribedPoses<'_> {
         let group = &self.actuators[at..at + n];
         let parts = parts_of(group)?;
         let center = parts.first()?.1.center;
-        let mut magnets: Vec<Magnet> = (parts.into_iter().enumerate())
-            .map(|(i, (span, magnet))| Magnet {
+        let mut magnets: Vec<MagnetKeys> = (parts.into_iter().enumerate())
+            .map(|(i, (span, magnet))| MagnetKeys {
                 name: Some(match i {
                     0 => name.clone(),
                     _ => format!("{name} {i}"),
                 }),
                 field_of: (i > 0).then(|| name.clone()),
-                ..Magnet::describing(span, &magnet)
+                ..MagnetKeys::describing(span, &magnet)
             })
             .collect();
         let owner = magnets.first_mut()?;
@@ -519,7 +519,7 @@ impl DescribedPoses<'_> {
     }
 }
 
-impl Magnet {
+impl MagnetKeys {
     /// Returns the keys of a magnet in no field.
     fn describing(span: Span, magnet: &mechanics::Magnet) -> Self {
         let (at, along) = match span {
@@ -548,7 +548,7 @@ impl Magnet {
     }
 }
 
-/// The magnets of the efforts of one field, if each of them has every effort as [`Magnet::in_field`] does.
+/// The magnets of the efforts of one field, if each of them has every effort as [`MagnetKeys::in_field`] does.
 fn parts_of(group: &[PoseActuator]) -> Option<Vec<(Span, mechanics::Magnet)>> {
     let first = group.first()?;
     let magnets: Option<Vec<_>> = (first.parts.iter())

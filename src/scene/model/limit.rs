@@ -101,7 +101,7 @@ pub struct Price {
 /// A limit on the strain of every element, or on the speed or the tilt of a node: exactly one of the five.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Limit {
+pub struct LimitKeys {
     /// Name in reports. Default: the key of what is limited.
     pub name: Option<String>,
     /// Smallest and largest length of an element, divided by its length at rest. The model of the section holds for about [0.7, 1.3].
@@ -140,7 +140,7 @@ pub struct Tilt {
     pub max_rad: Positive<values::LargestAngle>,
 }
 
-impl Limit {
+impl LimitKeys {
     /// The keys of which a limit has exactly one, with the words in its default name.
     const KINDS: [(&'static str, &'static str); 5] = [
         ("stretch", "stretch"),
@@ -454,7 +454,7 @@ impl Keys<'_> {
     /// Checks a limit; errors name it as well, since indices count from 0 and readers from 1.
     pub(in crate::scene) fn check_limit(
         &self,
-        limit: &Limit,
+        limit: &LimitKeys,
         index: usize,
         scene: &Scene,
     ) -> Checked {
@@ -463,7 +463,7 @@ impl Keys<'_> {
             .map_err(|error| error.of_item("limit", &limit.name()))
     }
 
-    fn check_numbers_of_limit(&self, limit: &Limit, index: usize, elements: usize) -> Checked {
+    fn check_numbers_of_limit(&self, limit: &LimitKeys, index: usize, elements: usize) -> Checked {
         let key = |name: &str| format!("limit.{index}.{name}");
         self.exactly_one(&format!("limit.{index}"), &limit.given())?;
         if let Some([least, largest]) = limit.stretch {
@@ -497,7 +497,7 @@ impl Keys<'_> {
     }
 
     /// Checks that a limit holds for a time within the task, and not in a loop, whose horizons have no times of their own.
-    fn check_span(&self, limit: &Limit, index: usize, scene: &Scene) -> Checked {
+    fn check_span(&self, limit: &LimitKeys, index: usize, scene: &Scene) -> Checked {
         let key = |name: &str| format!("limit.{index}.{name}");
         let [from, to] = given!(limit: from_s, to_s);
         for time in [from, to].into_iter().filter(|key| key.1) {

@@ -51,7 +51,7 @@ pub struct Body {
 /// A prescribed force and moment on one node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Load {
+pub struct LoadKeys {
     /// Node that is loaded: "tip", "base", an index that counts from 0 at the base, or, with a decimal point, the node
     /// nearest to a fraction of the length.
     pub node: LoadNode,
@@ -189,7 +189,7 @@ impl Scene {
         self.payload = arm.payload;
         self.body = arm.bodies.iter().map(Body::describing).collect();
         let loads = arm.loads.iter();
-        self.load = loads.map(|load| Load::describing(load, mesh)).collect();
+        self.load = loads.map(|load| LoadKeys::describing(load, mesh)).collect();
         self.distributed_load.clone_from(&arm.distributed_loads);
     }
 }
@@ -230,7 +230,7 @@ impl Keys<'_> {
     pub(in crate::scene) fn check_load(
         &self,
         list: &str,
-        load: &Load,
+        load: &LoadKeys,
         index: usize,
         elements: usize,
     ) -> Checked {
@@ -250,7 +250,7 @@ impl Keys<'_> {
     }
 }
 
-impl Load {
+impl LoadKeys {
     /// The load of an arm that is written with this mesh.
     pub(in crate::scene) fn of_arm(&self, mesh: &Mesh) -> PointLoad {
         PointLoad {

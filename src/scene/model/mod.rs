@@ -52,7 +52,7 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct Scene {
     /// The arm.
-    pub rod: Rod,
+    pub rod: RodKeys,
     /// Pose of the first node, and whether it is held. Default: clamped at the origin, the arm along +z.
     #[serde(default)]
     pub base: Base,
@@ -72,7 +72,7 @@ pub struct Scene {
     pub body: Vec<Body>,
     /// Prescribed forces and moments on nodes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub load: Vec<Load>,
+    pub load: Vec<LoadKeys>,
     /// Prescribed forces and moments along the arm.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub distributed_load: Vec<DistributedLoad>,
@@ -90,22 +90,22 @@ pub struct Scene {
     pub braid: Vec<Braid>,
     /// Magnets in the arm, with the magnetic field around it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub magnet: Vec<Magnet>,
+    pub magnet: Vec<MagnetKeys>,
     /// Cables from the arm to points in space.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub cable: Vec<Cable>,
+    pub cable: Vec<CableKeys>,
     /// Rests of the model that are learned from data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub learned: Vec<LearnedRest>,
     /// Bodies that the arm touches: contact with a floor, a wall, a ball, a box, in every motion, simulated or optimized.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub contact: Vec<Contact>,
+    pub contact: Vec<ContactKeys>,
     /// State at t = 0. Absent: the stress-free shape, at rest or moving with a driven base.
     pub initial: Option<Initial>,
     /// Duration and time step.
     pub time: Time,
     /// Target of the tip. Absent: there is nothing to reach.
-    pub task: Option<Task>,
+    pub task: Option<TaskKeys>,
     /// Forces and moments that the optimizer or the controller chooses. Absent: none.
     pub control: Option<Control>,
     /// Bodies that the arm stays clear of.
@@ -113,11 +113,11 @@ pub struct Scene {
     pub obstacle: Vec<Obstacle>,
     /// Limits on strain and speed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub limit: Vec<Limit>,
+    pub limit: Vec<LimitKeys>,
     /// Terms that the optimizer minimizes, with their weights. Absent: the defaults.
-    pub objective: Option<Objective>,
+    pub objective: Option<ObjectiveKeys>,
     /// Settings of the optimizer. Absent: the defaults.
-    pub solver: Option<Solver>,
+    pub solver: Option<SolverKeys>,
     /// Doubt about the arm, under which the controls of a solve are replayed. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub doubt: Option<Doubt>,
@@ -126,20 +126,20 @@ pub struct Scene {
     /// Model-predictive controller of a closed loop. Absent: there is no loop.
     pub mpc: Option<Mpc>,
     /// Plant of the loop: the arm that the controller acts on. Absent: the rod of the scene.
-    pub plant: Option<Plant>,
+    pub plant: Option<PlantKeys>,
     /// Sensors of the loop; they go with `estimator`. Absent: the true state is known at once.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub sensor: Vec<Sensor>,
+    pub sensor: Vec<SensorKeys>,
     /// Estimator of the state from sensors.
-    pub estimator: Option<Estimator>,
+    pub estimator: Option<EstimatorKeys>,
     /// Forces and moments on the plant that the controller does not know; nodes are counted as in `[rod]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub disturbance: Vec<Load>,
+    pub disturbance: Vec<LoadKeys>,
 }
 
 impl Scene {
     /// Returns the scene of an arm alone, without any other section.
-    pub(in crate::scene) fn bare(rod: Rod, time: Time) -> Self {
+    pub(in crate::scene) fn bare(rod: RodKeys, time: Time) -> Self {
         Self {
             rod,
             base: Base::default(),

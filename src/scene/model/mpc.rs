@@ -32,7 +32,7 @@ impl Default for Mpc {
             deadline_s: None,
             duration_s: None,
             counted_from_s: None,
-            computing: Computing::default(),
+            computing: ComputingKey::default(),
             computing_s: None,
             actuator_delay_s: None,
             predict: true,
@@ -95,7 +95,7 @@ pub struct Mpc {
     /// sample.
     pub counted_from_s: Option<NonNegative<values::Time>>,
     /// Computing time of a command in the loop's own time.
-    pub computing: Computing,
+    pub computing: ComputingKey,
     /// That time in s, not negative, with `computing = "fixed"`. Absent: one period.
     pub computing_s: Option<NonNegative<values::Time>>,
     /// Delay of the actuators in s that the controller assumes, not negative. Absent: that of `[plant.actuator]`.
@@ -113,7 +113,7 @@ pub struct Mpc {
 /// Computing time of a command in the loop's own time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Computing {
+pub enum ComputingKey {
     /// No time: the command of a sample acts from its beginning.
     #[default]
     None,
@@ -163,11 +163,11 @@ impl Mpc {
     pub(in crate::scene) fn loop_settings(&self, actuator_delay: f64) -> LoopSettings {
         LoopSettings {
             computing: match self.computing {
-                Computing::None => mpc::Computing::Instant,
-                Computing::Fixed => {
+                ComputingKey::None => mpc::Computing::Instant,
+                ComputingKey::Fixed => {
                     mpc::Computing::Fixed(self.computing_s.map_or(self.period_s.get(), Number::get))
                 }
-                Computing::Measured => mpc::Computing::Measured,
+                ComputingKey::Measured => mpc::Computing::Measured,
             },
             predicts: self.predict,
             compensates: self.compensate,

@@ -17,7 +17,7 @@ use crate::task::{self, Cost, Problem};
 /// Terms that the optimizer minimizes, with their weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Objective {
+pub struct ObjectiveKeys {
     /// Weight in 1/s of half the squared controls, integrated over time; not negative, default 1. It may be 0 with a
     /// `rate`, or with a price of the duration.
     pub effort: NonNegative<values::Weight>,
@@ -28,7 +28,7 @@ pub struct Objective {
     pub energy: NonNegative<values::Weight>,
     /// Paths that nodes follow.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub track: Vec<Track>,
+    pub track: Vec<TrackKeys>,
     /// Intervals of the integrals of energy and tracks over the horizon, at least 1, default 100. A loop whose horizon
     /// recedes uses at most two per block.
     #[schemars(range(min = 1))]
@@ -49,7 +49,7 @@ pub struct Objective {
 /// horizon ends at `time.end_s`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Track {
+pub struct TrackKeys {
     /// Node that follows. Default: "tip".
     #[serde(default)]
     pub node: LoadNode,
@@ -140,9 +140,9 @@ pub struct FigureEight {
     pub ramp_s: Option<Positive<values::Duration>>,
 }
 
-impl Default for Objective {
-    fn default() -> Objective {
-        Objective {
+impl Default for ObjectiveKeys {
+    fn default() -> ObjectiveKeys {
+        ObjectiveKeys {
             effort: known(1.0),
             rate: known(0.0),
             energy: known(0.0),
@@ -157,7 +157,7 @@ impl Default for Objective {
 impl Keys<'_> {
     pub(in crate::scene) fn check_objective(
         &self,
-        objective: &Objective,
+        objective: &ObjectiveKeys,
         scene: &Scene,
     ) -> Checked {
         if objective.energy.get() > 0.0 && scene.rod.model != RodModel::Standard {
@@ -181,7 +181,7 @@ impl Keys<'_> {
     }
 
     /// Checks that a track has a table of points, a circle or a figure eight, or at least orientations; `section` is the key of the track.
-    pub(in crate::scene) fn check_path(&self, section: &str, track: &Track) -> Checked {
+    pub(in crate::scene) fn check_path(&self, section: &str, track: &TrackKeys) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
         let circle = track.circle.as_ref().map(Turns::from);
         let eight = track.figure_eight.as_ref().map(Turns::from);
@@ -251,7 +251,7 @@ impl Keys<'_> {
     }
 }
 
-impl Objective {
+impl ObjectiveKeys {
     /// Returns the cost of a task of an arm that is written with this mesh; paths that turn go on until `end`, s.
     pub(in crate::scene) fn of_task(&self, mesh: &Mesh, end: f64) -> Cost {
         Cost {
@@ -288,7 +288,9 @@ impl Objective {
             effort: known(cost.effort),
             rate: known(cost.rate),
             energy: known(cost.energy),
-            track: tracks.map(|track| Track::describing(track, mesh)).collect(),
+            track: tracks
+                .map(|track| TrackKeys::describing(track, mesh))
+                .collect(),
             samples: problem.discretization.samples,
             ..Self::default()
         };
@@ -296,7 +298,7 @@ impl Objective {
     }
 }
 
-impl Track {
+impl TrackKeys {
     /// The track of a task.
     fn of_task(&self, mesh: &Mesh, end: f64) -> task::Track {
         task::Track {

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys, given, given_of};
 use super::super::values::{self, NonNegative, Number, Positive, digits};
-use super::{Payload, Scene, Section};
+use super::{Payload, Scene, SectionKeys};
 use crate::mechanics::{Friction, StrainActuator};
 use crate::mpc::EffortDynamics;
 
@@ -15,7 +15,7 @@ pub use crate::mpc::ActuatorDynamics as PlantActuator;
 /// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Plant {
+pub struct PlantKeys {
     /// Number of elements, 1 to 5000. Absent: `rod.elements`.
     #[schemars(range(min = 1, max = 5000))]
     pub elements: Option<usize>,
@@ -31,7 +31,7 @@ pub struct Plant {
     /// changes along the arm is added to them. Absent: those of `[rod.reference]`.
     pub curvature_1_m: Option<[f64; 3]>,
     /// Section of a rod that has a material. Absent: `[rod.section]`.
-    pub section: Option<Section>,
+    pub section: Option<SectionKeys>,
     /// A rigid body at the tip. Absent: `[payload]`.
     pub payload: Option<Payload>,
     /// Dynamics and limits of the actuators. Absent: the wrench is the command.
@@ -145,7 +145,7 @@ impl PlantHardware {
     }
 }
 
-impl Plant {
+impl PlantKeys {
     /// Actuators in the arm that differ from the model's, with their sections and places in the lists.
     pub(in crate::scene) fn hardware(
         &self,
@@ -164,7 +164,7 @@ impl Plant {
 }
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_plant(&self, plant: &Plant, scene: &Scene) -> Checked {
+    pub(in crate::scene) fn check_plant(&self, plant: &PlantKeys, scene: &Scene) -> Checked {
         if let Some(elements) = plant.elements {
             self.count("plant.elements", elements, MOST_ELEMENTS)?;
         }

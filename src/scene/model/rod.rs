@@ -11,7 +11,7 @@ use super::super::keys::{Checked, Excludes, Keys, given};
 use super::super::materials::{MaterialFigures, MaterialPreset, Shear};
 use super::super::values::{self, As, Number, PoissonRatio, Positive, digits, known, or_auto};
 use super::super::{SceneError, SceneSource};
-use super::{Inertia, Section, Stiffness};
+use super::{Inertia, SectionKeys, Stiffness};
 use crate::mechanics::rows;
 use crate::mechanics::{MOST_ELEMENTS, RodModel, RotaryInertia, SectionProfile, StrainRule};
 use crate::task;
@@ -21,7 +21,7 @@ use crate::task;
 /// Either `material` and `section`, or `stiffness` and `inertia`, or segments with their own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Rod {
+pub struct RodKeys {
     /// Rest length in m, positive.
     pub length_m: Positive<values::Length>,
     /// Number of elements, 1 to 5000; there is one node more than elements. An element ends where segments meet, where
@@ -47,9 +47,9 @@ pub struct Rod {
     /// the motion.
     pub display_radius_m: Option<Positive<values::Radius>>,
     /// Material of the rod; goes with `section`.
-    pub material: Option<Material>,
+    pub material: Option<MaterialKeys>,
     /// Shape and size of the section; goes with `material`.
-    pub section: Option<Section>,
+    pub section: Option<SectionKeys>,
     /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
     pub stiffness: Option<Stiffness>,
     /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
@@ -90,7 +90,7 @@ or_auto! {
 /// precedence.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Material {
+pub struct MaterialKeys {
     /// Name of a material, which supplies the figures below that are not given.
     pub preset: Option<MaterialPreset>,
     /// Young's modulus in Pa, positive. Absent: that of `preset`.
@@ -125,7 +125,7 @@ pub struct Reference {
     pub stretch: Positive<values::Stretch>,
 }
 
-impl Material {
+impl MaterialKeys {
     fn figures(&self) -> Option<&'static MaterialFigures> {
         self.preset.map(MaterialPreset::figures)
     }
@@ -178,9 +178,9 @@ impl Material {
 #[derive(Clone, Copy)]
 pub struct Parts<'a> {
     /// Its material.
-    pub material: Option<&'a Material>,
+    pub material: Option<&'a MaterialKeys>,
     /// Its section.
-    pub section: Option<&'a Section>,
+    pub section: Option<&'a SectionKeys>,
     /// Its stiffness.
     pub stiffness: Option<&'a Stiffness>,
     /// Its inertia.
@@ -195,7 +195,7 @@ impl Parts<'_> {
     }
 }
 
-impl Rod {
+impl RodKeys {
     /// Returns the parts of a rod without segments.
     pub fn parts(&self) -> Parts<'_> {
         Parts {
@@ -221,7 +221,7 @@ impl Rod {
 }
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_rod(&self, rod: &Rod) -> Checked {
+    pub(in crate::scene) fn check_rod(&self, rod: &RodKeys) -> Checked {
         self.count("rod.elements", rod.elements, MOST_ELEMENTS)?;
         check_range(rod.accuracy.map(Number::get), self.source)?;
         if rod.segment.is_empty() {
@@ -291,7 +291,7 @@ impl Keys<'_> {
         }
     }
 
-    fn check_material(&self, name: &str, material: &Material) -> Checked {
+    fn check_material(&self, name: &str, material: &MaterialKeys) -> Checked {
         let key = |figure: &str| format!("{name}.{figure}");
         let preset = format!("or else give {name}.preset");
         if material.youngs_modulus().is_none() {
@@ -317,10 +317,10 @@ impl Keys<'_> {
 /// Material and section of a tapered arm; stiffness and inertia of a uniform one; segments of either.
 pub(in crate::scene) fn describe_section(
     arm: &task::Arm,
-    rod: &mut Rod,
+    rod: &mut RodKeys,
 ) -> Result<(), DescribeError> {
     let uneven = DescribeError("it is drawn with a taper that it does not have");
-    let radius = |section: Option<&Section>, [from, to]: [f64; 2]| {
+    let radius = |section: Option<&SectionKeys>, [from, to]: [f64; 2]| {
         let ends = rows::sides(&arm.radii, from).zip(rows::sides(&arm.radii, to));
         match ends.filter(|_| section.is_none()) {
             Some(([_, a], [b, _])) if a != b => Err(uneven),

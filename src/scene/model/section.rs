@@ -12,7 +12,7 @@ use crate::mechanics::Outline;
 /// `height_m`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Section {
+pub struct SectionKeys {
     /// Shape of the section.
     #[serde(default)]
     pub shape: ShapeKey,
@@ -129,7 +129,7 @@ pub struct Inertia {
     pub rotary_kg_m: [Positive<values::RotaryInertia>; 3],
 }
 
-impl Section {
+impl SectionKeys {
     /// Shapes at the base and at the tip.
     pub fn shapes(&self) -> Option<[Outline; 2]> {
         let [uniform, base, tip, inner] = [
@@ -192,7 +192,7 @@ impl Keys<'_> {
     }
 
     /// Checks a section; `name` is its key.
-    pub(in crate::scene) fn check_section(&self, name: &str, section: &Section) -> Checked {
+    pub(in crate::scene) fn check_section(&self, name: &str, section: &SectionKeys) -> Checked {
         let key = |quantity: &str| format!("{name}.{quantity}");
         if let Some(roll) = section.roll_rad {
             self.finite_number(&key("roll_rad"), roll)?;
@@ -262,7 +262,7 @@ impl Keys<'_> {
     }
 
     /// Checks the radii or diameters of a circle.
-    fn check_circle(&self, name: &str, section: &Section) -> Checked {
+    fn check_circle(&self, name: &str, section: &SectionKeys) -> Checked {
         let key = |quantity: &str, place: &str| format!("{name}.{quantity}_{place}m");
         // The keys that are given: what they measure, and where.
         let given: Vec<(&str, &str)> = [

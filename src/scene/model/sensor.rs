@@ -13,7 +13,7 @@ use crate::mpc::{Quantity, QuantityRow, SensorPreset, SensorSettings};
 /// measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Sensor {
+pub struct SensorKeys {
     /// Usual sensor, which supplies the keys below that are not given.
     pub preset: Option<SensorPreset>,
     /// Places of the measurement, as fractions of the length from the base. Absent: those of `preset`.
@@ -44,7 +44,7 @@ pub struct Sensor {
     pub age_s: Option<NonNegative<values::Time>>,
 }
 
-impl Sensor {
+impl SensorKeys {
     /// Returns the key of a quantity's standard deviation.
     fn sigma(&self, quantity: Quantity) -> Option<NonNegative<values::Deviation>> {
         match quantity {
@@ -100,7 +100,7 @@ impl Sensor {
 }
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_sensor(&self, sensor: &Sensor, index: usize) -> Checked {
+    pub(in crate::scene) fn check_sensor(&self, sensor: &SensorKeys, index: usize) -> Checked {
         let key = |name: &str| format!("sensor.{index}.{name}");
         for (at, place) in sensor.places.iter().flatten().enumerate() {
             if !(0.0..=1.0).contains(place) {

@@ -11,7 +11,7 @@ use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
 /// Settings of the optimizer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Solver {
+pub struct SolverKeys {
     /// Largest residual of the optimality conditions at which a solve has converged; positive, default 1e-6.
     pub tolerance: Positive<values::Tolerance>,
     /// Limit on the iterations of all solves of a start together: from every initial guess, of the stages of a
@@ -51,10 +51,10 @@ or_auto! {
     }
 }
 
-impl Default for Solver {
-    fn default() -> Solver {
+impl Default for SolverKeys {
+    fn default() -> SolverKeys {
         let settings = SqpSettings::default();
-        Solver {
+        SolverKeys {
             tolerance: known(settings.tolerance),
             max_iterations: settings.max_iterations,
             saddle_gain: known(settings.saddle_gain),
@@ -68,7 +68,7 @@ impl Default for Solver {
 }
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_solver(&self, solver: &Solver) -> Checked {
+    pub(in crate::scene) fn check_solver(&self, solver: &SolverKeys) -> Checked {
         let gain = solver.saddle_gain.get();
         if gain > MOST_SADDLE_GAIN {
             return Err(self.out_of_range(

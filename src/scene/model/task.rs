@@ -19,7 +19,7 @@ pub use crate::control::FreeDuration;
 /// Target of the tip: a position, an orientation or a direction, a velocity, or several of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Task {
+pub struct TaskKeys {
     /// Node of the target: `"tip"`, or a fraction of the length, or an index. A tip that is held has no target, so that a task with one
     /// names a node on the way to it. Default: the tip.
     #[serde(default)]
@@ -151,7 +151,7 @@ pub struct Via {
     pub tolerance_rad: Option<Positive<values::Angle>>,
 }
 
-impl Task {
+impl TaskKeys {
     /// Returns the time in s at which the tip should be at the target, given the duration of the scene.
     pub fn instant(&self, end_s: f64) -> f64 {
         self.at_s.map_or(end_s, Number::get)
@@ -159,7 +159,7 @@ impl Task {
 }
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_task(&self, task: &Task, scene: &Scene) -> Checked {
+    pub(in crate::scene) fn check_task(&self, task: &TaskKeys, scene: &Scene) -> Checked {
         self.check_pose(
             "task",
             given!(task: position_m, orientation_wxyz, direction),
@@ -420,7 +420,7 @@ fn rounded(value: f64) -> String {
     }
 }
 
-impl Task {
+impl TaskKeys {
     /// Returns the task with what was chosen for a problem: its time, the weights of soft goals, how long and how closely the arm stays, and
     /// how slow it is where it stops.
     pub(in crate::scene) fn resolved(mut self, problem: &Problem) -> Self {
@@ -557,9 +557,13 @@ fn described_hardness(hardness: Hardness) -> (bool, Option<Positive<values::Weig
     }
 }
 
-pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Vec<Via>) -> Task {
+pub(in crate::scene) fn described_task(
+    problem: &Problem,
+    goal: &Target,
+    via: Vec<Via>,
+) -> TaskKeys {
     let (hard, weight) = described_hardness(goal.hardness);
-    let own = Task {
+    let own = TaskKeys {
         node: LoadNode::of(goal.at, &problem.discrete.rod.mesh),
         position_m: goal.position.map(Into::into),
         orientation_wxyz: goal.rotation.as_ref().map(wxyz),

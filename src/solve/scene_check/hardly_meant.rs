@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::Vector3;
 
 use crate::mechanics::Rod;
-use crate::scene::{Load, Scene};
+use crate::scene::{LoadKeys, Scene};
 
 /// Turns of a rod under a moment above which the moment is probably a mistake.
 const MANY_TURNS: f64 = 20.0;
@@ -143,7 +143,7 @@ fn beside_section(scene: &Scene) -> Vec<String> {
 }
 
 /// Describes the effect of a load on the arm if it exceeds the plausible range.
-fn heavy(index: usize, load: &Load, rod: &Rod) -> Option<String> {
+fn heavy(index: usize, load: &LoadKeys, rod: &Rod) -> Option<String> {
     let factors = load.profile.iter().map(|(_, factor)| factor.abs());
     let factor = factors.reduce(f64::max).unwrap_or(1.0);
     let [force, moment] = [load.force_n, load.moment_n_m].map(|v| factor * Vector3::from(v).norm());

@@ -16,8 +16,7 @@ pub(crate) use self::concerns::{begins_inside, size_warning, warnings, what_weig
 use self::concerns::{contact_facts, loose, topples};
 use self::forecast::{cost, problem_size, shorter};
 pub(crate) use self::forecast::{expectation, output_size, time_in_words};
-pub(crate) use self::holding::{ABOVE, CANNOT, UNSTABLE, WITHIN};
-use self::holding::{NOT_FOUND, distance, need};
+use self::holding::{NOT_FOUND, WITHIN, distance, need};
 use super::causes::{MOST_ELEMENTS, stands_by_symmetry};
 use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;

@@ -240,6 +240,38 @@ impl TerminalCost {
     }
 }
 
+/// Returns the covectors of the coordinates `r` of the slow modes along `n` components of the free nodes, as rows, and the states in which
+/// one of them is 1, as columns.
+fn coordinates(held: &HeldModes, n: usize) -> [DMatrix<f64>; 2] {
+    let (modes, inertia) = (held.modes.slow(), held.modes.inertia());
+    let m = modes.len();
+    let component = |index: usize| (index / NODE_COMPONENTS, index % NODE_COMPONENTS);
+    let covector = |row: usize, index: usize| {
+        let (node, part) = component(index);
+        let mode = &modes[row % m];
+        match (row < m, part < 6) {
+            (true, true) => {
+                mode.squared_frequency.sqrt() * inertia[node][part] * mode.shape[node][part]
+            }
+            (false, false) => mode.shape[node][part - 6],
+            _ => 0.0,
+        }
+    };
+    let state_of = |index: usize, column: usize| {
+        let (node, part) = component(index);
+        let mode = &modes[column % m];
+        match (column < m, part < 6) {
+            (true, true) => mode.shape[node][part] / mode.squared_frequency.sqrt(),
+            (false, false) => inertia[node][part - 6] * mode.shape[node][part - 6],
+            _ => 0.0,
+        }
+    };
+    [
+        DMatrix::from_fn(2 * m, n, covector),
+        DMatrix::from_fn(n, 2 * m, state_of),
+    ]
+}
+
 /// The motion of the slow modes over a part of a block, in their coordinates `r`, and the rows of its tracking cost.
 struct Reduced {
     duration: f64,
@@ -281,33 +313,9 @@ impl Reduced {
         let step = block_transitions(&own, &trajectory, &held.coefficient, 1)
             .ok()?
             .pop()?;
-        let (modes, inertia) = (held.modes.slow(), held.modes.inertia());
-        let m = modes.len();
-        let component = |index: usize| (index / NODE_COMPONENTS, index % NODE_COMPONENTS);
-        // Covectors of r, and the states in which one of them is 1.
-        let covector = |row: usize, index: usize| {
-            let (node, part) = component(index);
-            let mode = &modes[row % m];
-            match (row < m, part < 6) {
-                (true, true) => {
-                    mode.squared_frequency.sqrt() * inertia[node][part] * mode.shape[node][part]
-                }
-                (false, false) => mode.shape[node][part - 6],
-                _ => 0.0,
-            }
-        };
-        let state_of = |index: usize, column: usize| {
-            let (node, part) = component(index);
-            let mode = &modes[column % m];
-            match (column < m, part < 6) {
-                (true, true) => mode.shape[node][part] / mode.squared_frequency.sqrt(),
-                (false, false) => inertia[node][part - 6] * mode.shape[node][part - 6],
-                _ => 0.0,
-            }
-        };
+        let m = held.modes.slow().len();
         let n = step.state.nrows();
-        let covectors = DMatrix::from_fn(2 * m, n, covector);
-        let states = DMatrix::from_fn(n, 2 * m, state_of);
+        let [covectors, states] = coordinates(held, n);
         let whole = DMatrix::from_fn(n, n, |i, j| step.state[(i, j)]);
         let along = DMatrix::from_fn(n, scales.len(), |i, c| step.input[(i, c)] * scales[c]);
 

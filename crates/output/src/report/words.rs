@@ -11,6 +11,8 @@ use std::fmt::Write as _;
 use minijinja::{AutoEscape, Environment, Error, ErrorKind, UndefinedBehavior, Value};
 use serde::Serialize;
 
+use crate::quantity::{digits, mass, quantity};
+
 use super::{
     ReportAttempt, ReportBars, ReportChart, ReportCheck, ReportCurve, ReportTable, ReportVerdict,
     figure,
@@ -154,6 +156,23 @@ pub fn fill(
     environment(templates)?
         .get_template(name)?
         .render(minijinja::value::Serde(context))
+}
+
+/// The rows of the template `name`, each a name and a text, whatever part they stand in.
+///
+/// # Errors
+/// As [`Words::of`].
+pub fn entries(
+    templates: &[(&'static str, &'static str)],
+    name: &str,
+    context: &serde_json::Value,
+) -> Result<Facts, Error> {
+    let text = fill(templates, name, context)?;
+    let lines = text.lines().map(str::trim);
+    Ok((lines.filter(|line| !line.is_empty()))
+        .map(Row::of)
+        .map(|row| (row.name, row.cells.join(" | ")))
+        .collect())
 }
 
 fn fault(what: String) -> Error {
@@ -382,7 +401,8 @@ fn measure(value: f64, unit: &str, digits: usize) -> String {
 ///
 /// Filters: `number` (NaN for what is none), `figure(digits)`, `m(unit)` (three digits and a unit), `percent`, `vector`, `significant`
 /// (without rounding of other components), `size` (Euclidean norm), `exp`, `counted(noun)`, `words` (of a key or a number),
-/// `fixed(decimals)`, `power(decimals)` (as in 1.5e-3).
+/// `fixed(decimals)`, `power(decimals)` (as in 1.5e-3); and for a terminal `digits`, `quantity(unit)` and `mass`, as in
+/// [`quantity`](crate::quantity).
 /// The test `known` holds for finite numbers.
 fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment<'static>, Error> {
     let mut out = Environment::new();
@@ -429,6 +449,11 @@ fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment
     out.add_filter("m", |v: Value, unit: String, digits: Option<usize>| {
         measure(number(&v), &unit, digits.unwrap_or(3))
     });
+    out.add_filter("digits", |v: Value| digits(number(&v)));
+    out.add_filter("quantity", |v: Value, unit: String| {
+        quantity(number(&v), &unit)
+    });
+    out.add_filter("mass", |v: Value| mass(number(&v)));
     out.add_filter("exp", |v: Value| number(&v).exp());
     out.add_filter("percent", |v: Value| measure(100.0 * number(&v), "%", 3));
     out.add_filter("vector", |v: Value| {

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Circle, FigureEight, Track};
+use super::{Circle, FigureEight, TrackKeys};
 use crate::control::Tracking;
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::scene::model::Base;
@@ -16,7 +16,7 @@ const POINTS: f64 = 360.0;
 /// Largest number of points; beyond it, points are farther apart.
 const MOST_POINTS: f64 = 1e6;
 
-impl Track {
+impl TrackKeys {
     /// Takes the weights that the discretization chose for the quantities that the track follows.
     pub(in crate::scene) fn take_weights(&mut self, chosen: &Tracking) {
         self.weight = (!chosen.path.is_empty()).then(|| known(chosen.weight));
@@ -53,7 +53,7 @@ impl Track {
     }
 }
 
-impl Track {
+impl TrackKeys {
     /// A closed path, and its shape.
     fn turns(&self) -> Option<(Turns, Shape)> {
         let circle = (self.circle.as_ref()).map(|circle| (Turns::from(circle), circle_of as Shape));

@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Material, Parts, Rod};
+use super::{MaterialKeys, Parts, RodKeys};
 use crate::mechanics::SectionProfile;
 use crate::scene::error::DescribeError;
 use crate::scene::keys::{Checked, Excludes, Keys, given};
-use crate::scene::model::{Inertia, Section, ShapeKey, Stiffness, Transverse};
+use crate::scene::model::{Inertia, SectionKeys, ShapeKey, Stiffness, Transverse};
 use crate::scene::values::{self, Number, Positive, digits, known};
 
 /// A piece of the arm with a material, a section or a stress-free curvature of its own. Segments follow one another from
@@ -20,9 +20,9 @@ pub struct Segment {
     /// Length as a fraction of `rod.length_m`, positive; either this or `length_m`.
     pub fraction: Option<Positive<values::Part>>,
     /// Material of the segment. Absent: `[rod.material]`.
-    pub material: Option<Material>,
+    pub material: Option<MaterialKeys>,
     /// Shape and size of the section. Absent: `[rod.section]`.
-    pub section: Option<Section>,
+    pub section: Option<SectionKeys>,
     /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
     pub stiffness: Option<Stiffness>,
     /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
@@ -84,7 +84,7 @@ impl Segment {
                 base_radius,
                 tip_radius,
             } => Self {
-                material: Some(Material {
+                material: Some(MaterialKeys {
                     preset: None,
                     youngs_modulus_pa: Some(known(material.youngs_modulus)),
                     poisson_ratio: None,
@@ -92,10 +92,10 @@ impl Segment {
                     density_kg_m3: Some(known(material.density)),
                     shear_factor: known(material.shear_factor),
                 }),
-                section: Some(Section {
+                section: Some(SectionKeys {
                     radius_base_m: Some(known(*base_radius)),
                     radius_tip_m: Some(known(*tip_radius)),
-                    ..Section::default()
+                    ..SectionKeys::default()
                 }),
                 ..out
             },
@@ -106,7 +106,7 @@ impl Segment {
     }
 }
 
-impl Rod {
+impl RodKeys {
     /// Returns the parts of a segment: those of its own, and material and section of the rod in the place of its own.
     pub fn parts_of<'a>(&'a self, segment: &'a Segment) -> Parts<'a> {
         let own = Parts {
@@ -167,7 +167,7 @@ impl Rod {
 }
 
 impl Keys<'_> {
-    pub(super) fn check_segments(&self, rod: &Rod) -> Checked {
+    pub(super) fn check_segments(&self, rod: &RodKeys) -> Checked {
         let [stiffness, inertia, segments] = given!(rod: stiffness, inertia, segment);
         let rows = [Excludes(stiffness, segments), Excludes(inertia, segments)];
         self.relations("rod", &rows)?;
