@@ -64,7 +64,7 @@ class Derivatives:
     """Derivatives of a solution along p numbers of its scene, for the same active bounds and limits."""
 
     variables: np.ndarray
-    """Of the variables of the program, in its units, (n, p)."""
+    """Of the variables of the program, in its units, (n, p); NaN for residuals that a ball bounds together, whose basis may not be unique."""
     objective: np.ndarray
     """Of the least objective, (p,)."""
     x: np.ndarray
@@ -188,26 +188,32 @@ class Program:
         Raises `ValueError` for variables that are no solution, and for numbers that change the size of the program.
         """
         v = np.array(variables, float)
-        inequalities = self.evaluate(v)[2]
+        inequalities, sets = self.evaluate(v)[2], self.sets
         near = [i for i, value in enumerate(inequalities) if value > -_ACTIVE]
-        local = self.linearize(v, rows=near)
-        sets = self.sets
-        places = [i for i, own in enumerate(sets) if _Bound(own).slack(v) < _ACTIVE]
+        raw = self.linearize(v, rows=near)
+        together = _Together.of(raw, self.n_controls, sets)
+        left = np.setdiff1d(np.arange(len(v)), [i for ball in together for i in ball.residuals])
+        local = _reduced(raw, v, together, left)
+        places = [i for i, own in enumerate(sets) if all(ball.place != i for ball in together) and _Bound(own).slack(v) < _ACTIVE]
         bounds = [_Bound(sets[i]) for i in places]
-        normals = np.array([own.normal(v) for own in bounds]).reshape(len(bounds), len(v))
+        normals = np.array([own.normal(v)[left] for own in bounds]).reshape(len(bounds), len(left))
         rows = np.vstack([local.jacobian, local.inequality_jacobian, normals])
-        # The rows are those of the constraints, then of the limits, then of the bounds.
+        # The rows are those of the constraints, then of the limits, then of the balls, then of the bounds.
         m, first = len(local.constraints), len(local.constraints) + len(near)
-        free = {*range(m), *(first + j for j, own in enumerate(bounds) if own.is_equality)}
-        kept, multipliers = _balanced(rows, local.gradient, free)
+        last = first + len(together)
+        free = {*range(m), *(last + j for j, own in enumerate(bounds) if own.is_equality)}
+        slack = {first + j for j in range(len(together)) if local.inequalities[len(near) + j] < -_ACTIVE}
+        kept, multipliers = _balanced(rows, local.gradient, free, slack)
         residual = np.abs(local.gradient + rows.T @ multipliers).max() / max(np.abs(local.gradient).max(), 1e-300)
-        if not (residual < _RESIDUAL and np.abs(local.constraints).max(initial=0.0) < _RESIDUAL):
+        if not (residual < _RESIDUAL and np.abs(raw.constraints).max(initial=0.0) < _RESIDUAL):
             raise ValueError(
                 f"the variables are no solution: {residual:.1e} of the gradient is not balanced; solve with a smaller solver.tolerance"
             )
-        taut, held = [i for i in kept if m <= i < first], [i for i in kept if i >= first]
-        limits, held_places = [near[i - m] for i in taut], [places[i - first] for i in held]
-        weights = multipliers[[*range(m), *taut, *held]]
+        taut, full = [i for i in kept if m <= i < first], [i for i in kept if first <= i < last]
+        held = [i for i in kept if i >= last]
+        limits, held_places = [near[i - m] for i in taut], [places[i - last] for i in held]
+        active_rows = [*range(m), *taut, *full, *held]
+        weights = multipliers[active_rows]
 
         def conditions(program: Program) -> tuple[np.ndarray | float, ...]:
             """The gradient of the Lagrangian, the active constraints, the Lagrangian, and the positions of the motion."""
@@ -217,20 +223,26 @@ class Program:
             scaled = replace(
                 raw, gradient=raw.gradient * scale, jacobian=raw.jacobian * scale, inequality_jacobian=raw.inequality_jacobian * scale
             )
-            own = _aligned(scaled, local, v, self.n_controls, sets)
-            gradient = own.gradient + multipliers[:m] @ own.jacobian + multipliers[taut] @ own.inequality_jacobian
+            own = _reduced(scaled, v, together, left, [i - first for i in full])
+            gradient = own.gradient + weights[: m + len(taut) + len(full)] @ np.vstack([own.jacobian, own.inequality_jacobian])
             others = program.sets
             active = np.concatenate([own.constraints, own.inequalities, [_Bound(others[i]).value(at) for i in held_places]])
             return gradient, active, own.objective + weights @ active, program.rollout(at)[0]
 
-        of_limits = np.zeros(len(inequalities))
+        of_constraints, of_limits = np.zeros(len(raw.constraints)), np.zeros(len(inequalities))
+        of_constraints[_others(raw, together)] = multipliers[:m]
         of_limits[near] = multipliers[m:first]
-        hessian = self.linearize(v, multipliers[:m], of_limits, rows=limits).hessian
+        for i in full:
+            ball = together[i - first]
+            of_constraints[ball.rows] = multipliers[i] * ball.weights(raw, v)
+        hessian = self.linearize(v, of_constraints, of_limits, rows=limits).hessian
         for i in held:
-            hessian = hessian + multipliers[i] * bounds[i - first].curvature(len(v))
-        active_rows = rows[[*range(m), *taut, *held]]
+            hessian = hessian + multipliers[i] * bounds[i - last].curvature(len(v))
+        hessian = hessian[np.ix_(left, left)]
+        for i in full:
+            hessian = hessian + multipliers[i] * together[i - first].curvature(raw, left)
         size = len(active_rows)
-        matrix = np.block([[hessian, active_rows.T], [active_rows, np.zeros((size, size))]])
+        matrix = np.block([[hessian, rows[active_rows].T], [rows[active_rows], np.zeros((size, size))]])
         slopes: list[list[Any]] = []
         for key in keys:
             value = self.scene[key]
@@ -240,16 +252,90 @@ class Program:
             ahead, behind = (conditions(self.scene.replace({key: value + side}).program()) for side in (half, -half))
             slopes.append([(more - less) / (2 * half) for more, less in zip(ahead, behind)])
         gradients, active, objective, moved = (np.stack(own, axis=-1) for own in zip(*slopes))
-        columns = np.linalg.lstsq(matrix, -np.concatenate([gradients, active]), rcond=None)[0][: len(v)]
+        columns = np.zeros((len(v), len(keys)))
+        columns[left] = np.linalg.lstsq(matrix, -np.concatenate([gradients, active]), rcond=None)[0][: len(left)]
         moved += np.stack([self.sensitivity(v, column)[0] for column in columns.T], axis=-1)
-        return Derivatives(columns, objective, moved, len(held) + len(taut), float(residual))
+        columns[[i for ball in together for i in ball.residuals]] = np.nan
+        return Derivatives(columns, objective, moved, len(held) + len(full) + len(taut), float(residual))
 
 
-def _balanced(rows: np.ndarray, gradient: np.ndarray, free: set[int]) -> tuple[list[int], np.ndarray]:
-    """Returns multipliers of the rows of conditions that balance a gradient, and the conditions that are kept for it: the multipliers of
-    those that are not free are not negative.
+@dataclass(frozen=True)
+class _Together:
+    """Residuals `r` that a ball bounds, of constraints `c(u) + s r = 0`: for the other variables, `|c(u)|^2 / s^2 <= upper^2`.
+
+    The basis of the motions of an arm that stays is not unique, and another program may have another one; the norm is the same in all.
     """
-    kept = list(range(len(rows)))
+
+    place: int
+    """Number of the set."""
+    residuals: list[int]
+    rows: list[int]
+    slope: float
+    upper: float
+
+    @staticmethod
+    def of(local: Quadratic, n_controls: int, sets: list[dict[str, Any]]) -> list[_Together]:
+        """Returns the balls of residuals that cost nothing."""
+        out = []
+        for place, ball in enumerate(sets):
+            residuals = [row[0][0] for row in ball["rows"]]
+            if ball["kind"] != "ball" or min(residuals) < n_controls or np.any(local.gradient[residuals]):
+                continue
+            rows = [int(np.abs(local.jacobian[:, i]).argmax()) for i in residuals]
+            slopes = np.array([local.jacobian[row, i] for row, i in zip(rows, residuals)])
+            if len(set(rows)) == len(rows) and np.ptp(slopes) <= 1e-9 * np.abs(slopes).max():
+                out.append(_Together(place, residuals, rows, float(slopes[0]), float(ball["upper"])))
+        return out
+
+    def _left(self, local: Quadratic, v: np.ndarray) -> np.ndarray:
+        """Returns `c(u)`."""
+        return local.constraints[self.rows] - self.slope * v[self.residuals]
+
+    def value(self, local: Quadratic, v: np.ndarray) -> float:
+        """Returns half of `|c|^2 / (s upper)^2 - 1`, at most 0."""
+        c = self._left(local, v)
+        return 0.5 * float(c @ c / (self.slope * self.upper) ** 2 - 1.0)
+
+    def weights(self, local: Quadratic, v: np.ndarray) -> np.ndarray:
+        """Returns the derivative of the value along `c`."""
+        return self._left(local, v) / (self.slope * self.upper) ** 2
+
+    def curvature(self, local: Quadratic, left: np.ndarray) -> np.ndarray:
+        """Returns the second derivative along the variables that are `left`, without that of `c`."""
+        along = local.jacobian[np.ix_(self.rows, left)] / (self.slope * self.upper)
+        return along.T @ along
+
+
+def _others(local: Quadratic, together: list[_Together]) -> np.ndarray:
+    """Returns the numbers of the constraints that no ball replaces."""
+    return np.setdiff1d(np.arange(len(local.constraints)), [row for ball in together for row in ball.rows])
+
+
+def _reduced(
+    local: Quadratic, v: np.ndarray, together: list[_Together], left: np.ndarray, counted: list[int] | None = None
+) -> Quadratic:
+    """Returns values and derivatives over the variables that are `left`; the last inequalities are those of the balls, of all or of those that
+    are counted, and the constraints of all balls go.
+    """
+    balls = together if counted is None else [together[i] for i in counted]
+    others, jacobian = _others(local, together), local.jacobian[:, left]
+    values = [ball.value(local, v) for ball in balls]
+    slopes = [ball.weights(local, v) @ jacobian[ball.rows] for ball in balls]
+    return replace(
+        local,
+        gradient=local.gradient[left],
+        constraints=local.constraints[others],
+        jacobian=jacobian[others],
+        inequalities=np.concatenate([local.inequalities, values]),
+        inequality_jacobian=np.vstack([local.inequality_jacobian[:, left], *slopes]),
+    )
+
+
+def _balanced(rows: np.ndarray, gradient: np.ndarray, free: set[int], slack: set[int]) -> tuple[list[int], np.ndarray]:
+    """Returns multipliers of the rows of conditions that balance a gradient, and the conditions that are kept for it: not those that are
+    slack, and the multipliers of those that are not free are not negative.
+    """
+    kept = [i for i in range(len(rows)) if i not in slack]
     while True:
         found = np.linalg.lstsq(rows[kept].T, -gradient, rcond=None)[0]
         low = [(value, i) for value, i in zip(found, kept) if i not in free and value <= 0.0]
@@ -259,27 +345,6 @@ def _balanced(rows: np.ndarray, gradient: np.ndarray, free: set[int]) -> tuple[l
     multipliers = np.zeros(len(rows))
     multipliers[kept] = found
     return kept, multipliers
-
-
-def _aligned(own: Quadratic, like: Quadratic, v: np.ndarray, n_controls: int, sets: list[dict[str, Any]]) -> Quadratic:
-    """Returns constraints whose residuals are bounded together, by a ball, in the basis that another program has: that of the motions of an arm which
-    stays is not unique, and a ball does not mind.
-    """
-    constraints, jacobian = own.constraints.copy(), own.jacobian.copy()
-    for ball in sets:
-        soft = [row[0][0] for row in ball["rows"]]
-        if ball["kind"] != "ball" or min(soft) < n_controls:
-            continue
-        rows = [int(np.abs(like.jacobian[:, i]).argmax()) for i in soft]
-        slopes = np.array([like.jacobian[row, i] for row, i in zip(rows, soft)])
-        if len(set(rows)) < len(rows) or np.ptp(slopes) > 1e-9 * np.abs(slopes).max():
-            continue
-        left, _, right = np.linalg.svd(jacobian[rows, :n_controls] @ like.jacobian[rows, :n_controls].T)
-        turn = (left @ right).T
-        part = slopes * v[soft]
-        constraints[rows] = turn @ (constraints[rows] - part) + part
-        jacobian[rows, :n_controls] = turn @ jacobian[rows, :n_controls]
-    return replace(own, constraints=constraints, jacobian=jacobian)
 
 
 _ACTIVE = 1e-6

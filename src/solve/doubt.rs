@@ -1,8 +1,10 @@
 //! The plants of the doubt that a scene states, and the solve whose limits are narrowed for them.
 
+use std::f64::consts::TAU;
 use std::path::Path;
 
 use fastrand::Rng;
+use nalgebra::{DMatrix, DVector};
 
 use super::choice::Chosen;
 use crate::mechanics::{Rod, State};
@@ -29,6 +31,8 @@ pub(crate) struct Draws {
     pub text: String,
     /// The least and the largest value of every number.
     ends: Vec<[f64; 2]>,
+    /// Root of the correlations of the numbers with a standard deviation.
+    root: DMatrix<f64>,
 }
 
 impl Draws {
@@ -42,6 +46,7 @@ impl Draws {
             ends: (doubt.number.iter())
                 .map(|number| number.ends(own(&number.key)))
                 .collect(),
+            root: doubt.root()?,
             text,
             doubt,
         })
@@ -81,13 +86,25 @@ impl Draws {
     pub fn overrides(&self, purpose: Purpose, plant: usize) -> Vec<String> {
         let place = (purpose as u64) << 32 | plant as u64;
         let mut dice = Rng::with_seed(self.doubt.seed ^ place.wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        let independent: Vec<f64> = (0..self.root.nrows()).map(|_| normal(&mut dice)).collect();
+        let deviations = &self.root * DVector::from_vec(independent);
+        let mut deviations = deviations.iter();
         (self.doubt.number.iter().zip(&self.ends))
             .map(|(number, [least, most])| {
-                let value = least + (most - least) * dice.f64();
+                let value = match number.sigma {
+                    None => least + (most - least) * dice.f64(),
+                    Some(sigma) => 0.5 * (least + most) + sigma * deviations.next().unwrap_or(&0.0),
+                };
                 format!("{}={value:e}", number.key)
             })
             .collect()
     }
+}
+
+/// Returns a number of the normal distribution with mean 0 and variance 1 (Box and Muller 1958).
+fn normal(dice: &mut Rng) -> f64 {
+    let size = (-2.0 * (1.0 - dice.f64()).ln()).sqrt();
+    size * (TAU * dice.f64()).cos()
 }
 
 /// The plants of the doubt of an optimal-control problem.

@@ -1,14 +1,15 @@
-//! Stated doubt about the arm: ranges of numbers, from which plants are drawn on which the controls of a solve are replayed.
+//! Stated doubt about the arm: ranges or covariances of numbers, from which plants are drawn on which the controls of a solve are replayed.
 
 mod earlier;
 
+use nalgebra::{DMatrix, SymmetricEigen};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys, given};
 use super::Scene;
 
-/// Doubt about the arm: its numbers are known up to ranges. `softarm solve` and `softarm verify` replay the controls on plants that are
+/// Doubt about the arm: its numbers are known up to ranges or covariances. `softarm solve` and `softarm verify` replay the controls on plants that are
 /// drawn from them, and say how many leave a limit and where they end. `softarm mpc` runs the loop on drawn plants, whose numbers are those
 /// of `plant`, `disturbance` and `sensor`, or takes its margins from earlier runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -36,12 +37,17 @@ pub struct Doubt {
     /// Results have the margins in their place. Goes with `mpc` and `share`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub runs: Option<Vec<String>>,
+    /// Correlations of the numbers that have a `sigma`, in their order: a symmetric matrix with ones on its diagonal, as a fit has it.
+    /// Absent: they are drawn independently, as numbers with a range are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub correlation: Option<Vec<Vec<f64>>>,
     /// The numbers in doubt. They may be left out where `margins` or `runs` are given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub number: Vec<DoubtedNumber>,
 }
 
-/// A number of the scene that is known up to a range, in which every value is as likely as any other.
+/// A number of the scene that is known up to a range, in which every value is as likely as any other, or with a standard deviation about the
+/// value of the scene (normal distribution).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoubtedNumber {
@@ -51,20 +57,55 @@ pub struct DoubtedNumber {
     /// Least and largest value, in the unit of the key.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range: Option<[f64; 2]>,
-    /// Least and largest factor on the number of the scene. One of `range` and `factor` is given.
+    /// Least and largest factor on the number of the scene.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub factor: Option<[f64; 2]>,
+    /// Standard deviation in the unit of the key, positive. One of `range`, `factor` and `sigma` is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma: Option<f64>,
 }
 
+/// Standard deviations on either side of a number between which a plant must be possible.
+const TRIED: f64 = 2.0;
+/// Part of the largest eigenvalue of a matrix of correlations by which another one may be below zero.
+const ROUNDING: f64 = 1e-9;
+
 impl DoubtedNumber {
-    /// Returns the least and the largest value for the number of the scene.
+    /// Returns the least and the largest value for the number of the scene; of one with a `sigma`, two of these on either side.
     #[must_use]
     pub fn ends(&self, own: f64) -> [f64; 2] {
-        match (self.range, self.factor) {
-            (Some(range), _) => range,
-            (None, Some(factor)) => factor.map(|factor| factor * own),
-            (None, None) => [own; 2],
+        match (self.range, self.factor, self.sigma) {
+            (Some(range), ..) => range,
+            (None, Some(factor), _) => factor.map(|factor| factor * own),
+            (None, None, Some(sigma)) => [-TRIED, TRIED].map(|side| own + side * sigma),
+            (None, None, None) => [own; 2],
         }
+    }
+}
+
+impl Doubt {
+    /// Returns the symmetric root of the correlations of the numbers with a `sigma`; `None` if these are no correlations.
+    #[must_use]
+    pub fn root(&self) -> Option<DMatrix<f64>> {
+        let n = self.number.iter().filter(|own| own.sigma.is_some()).count();
+        let Some(rows) = &self.correlation else {
+            return Some(DMatrix::identity(n, n));
+        };
+        if rows.len() != n || rows.iter().any(|row| row.len() != n) {
+            return None;
+        }
+        let matrix = DMatrix::from_fn(n, n, |i, j| rows[i][j]);
+        let is_unit = (0..n).all(|i| matrix[(i, i)] == 1.0);
+        if n == 0 || !is_unit || matrix != matrix.transpose() {
+            return None;
+        }
+        let SymmetricEigen {
+            eigenvalues,
+            eigenvectors,
+        } = SymmetricEigen::new(matrix);
+        let is_semidefinite = eigenvalues.min() >= -ROUNDING * eigenvalues.max();
+        let roots = DMatrix::from_diagonal(&eigenvalues.map(|own| own.max(0.0).sqrt()));
+        is_semidefinite.then(|| &eigenvectors * roots * eigenvectors.transpose())
     }
 }
 
@@ -125,7 +166,26 @@ impl Keys<'_> {
             return Err(self.missing("doubt.number", "the numbers in doubt, one at least"));
         }
         for (index, own) in doubt.number.iter().enumerate() {
-            self.check_doubted(own, &format!("doubt.number.{index}"), scene)?;
+            let section = format!("doubt.number.{index}");
+            self.check_doubted(own, &section, scene)?;
+            if doubt.number[..index]
+                .iter()
+                .any(|other| other.key == own.key)
+            {
+                let message = format!("`{}` is in doubt twice", own.key);
+                let help = "give each number one range, factor or sigma".to_string();
+                return Err((self.source).error_at(&format!("{section}.key"), message, Some(help)));
+            }
+        }
+        if doubt.root().is_none() {
+            let n = (doubt.number.iter())
+                .filter(|own| own.sigma.is_some())
+                .count();
+            let message = "these are no correlations".to_string();
+            let help = format!(
+                "a symmetric matrix, positive semidefinite, with a row for each of the {n} numbers that have a sigma and ones on its diagonal"
+            );
+            return Err((self.source).error_at("doubt.correlation", message, Some(help)));
         }
         Ok(())
     }
@@ -159,7 +219,7 @@ impl Keys<'_> {
 
     fn check_doubted(&self, own: &DoubtedNumber, section: &str, scene: &Scene) -> Checked {
         let of = |key: &str| format!("{section}.{key}");
-        self.exactly_one(section, &given!(own: range, factor))?;
+        self.exactly_one(section, &given!(own: range, factor, sigma))?;
         for (key, ends) in [("range", own.range), ("factor", own.factor)] {
             let Some(ends) = ends else { continue };
             self.finite(&of(key), &ends)?;
@@ -168,6 +228,13 @@ impl Keys<'_> {
                     .error_at(&of(key), format!("{} is above {}", ends[0], ends[1]), None)
                     .expecting("expected the least value first"));
             }
+        }
+        if let Some(sigma) = own
+            .sigma
+            .filter(|sigma| !(*sigma > 0.0 && sigma.is_finite()))
+        {
+            let words = "standard deviation above 0";
+            return Err(self.out_of_range(&of("sigma"), sigma, words, ""));
         }
         let (first, last) = (own.key.split('.').next(), own.key.rsplit('.').next());
         let (sections, whose) = match scene.mpc {
@@ -185,9 +252,9 @@ impl Keys<'_> {
             let message = format!("`{}` is no number of {whose}", own.key);
             return Err((self.source).error_at(&of("key"), message, Some(help)));
         }
-        if own.factor.is_some() && scene.number(&own.key).is_none() {
+        if own.range.is_none() && scene.number(&own.key).is_none() {
             let message = format!("the scene has no number at `{}`", own.key);
-            let help = "give the range of the number in place of a factor".to_string();
+            let help = "give the range of the number in place of a factor or a sigma".to_string();
             return Err(self.source.error_at(&of("key"), message, Some(help)));
         }
         Ok(())

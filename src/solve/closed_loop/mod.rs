@@ -109,6 +109,8 @@ impl LoopOrder<'_> {
         let mut summary = self.summarize(&run, &others, recording.limits.peaks.clone(), ended);
         summary.advice.extend(recording.beyond.sentence());
         summary.baselines.extend(missing);
+        let broken = self.doubt.zip(doubt.as_ref());
+        (summary.advice).extend(broken.and_then(|(plants, found)| plants.broken_promise(found)));
         summary.doubt = doubt;
         summary.efforts = recording.effort_ranges(&self.setup.plant);
         let recording = RefCell::new(recording);

@@ -69,7 +69,16 @@ impl Scene {
             return refuse("doubt.runs", message, &help);
         };
         let mut residuals = Vec::with_capacity(runs.len());
+        let mut known = Vec::with_capacity(runs.len());
         for (index, run) in runs.iter().enumerate() {
+            let place = source.beside(run);
+            let place = place.canonicalize().unwrap_or(place);
+            if known.contains(&place) {
+                let help = "each further run needs to be a run of its own";
+                let message = format!("{run} is there twice");
+                return refuse(&format!("doubt.runs.{index}"), message, help);
+            }
+            known.push(place);
             let own = residuals_of(run, source, &names).map_err(|(message, help)| {
                 source.error_at(&format!("doubt.runs.{index}"), message, Some(help))
             })?;
