@@ -193,7 +193,7 @@ class Program:
         raw = self.linearize(v, rows=near)
         together = _Together.of(raw, self.n_controls, sets)
         left = np.setdiff1d(np.arange(len(v)), [i for ball in together for i in ball.residuals])
-        local = _reduced(raw, v, together, left)
+        local = _reduced(raw, v, together, left, _others(raw, together))
         places = [i for i, own in enumerate(sets) if all(ball.place != i for ball in together) and _Bound(own).slack(v) < _ACTIVE]
         bounds = [_Bound(sets[i]) for i in places]
         normals = np.array([own.normal(v)[left] for own in bounds]).reshape(len(bounds), len(left))
@@ -216,25 +216,24 @@ class Program:
         weights = multipliers[active_rows]
 
         def conditions(program: Program) -> tuple[np.ndarray | float, ...]:
-            """The gradient of the Lagrangian, the active constraints, the Lagrangian, and the positions of the motion."""
-            scale = self._scale(program)
+            """The gradient of the Lagrangian, the active conditions, the Lagrangian, and the positions of the motion."""
+            scale, others = self._scale(program), program.sets
             at = v * scale
             raw = program.linearize(at, rows=limits)
             scaled = replace(
                 raw, gradient=raw.gradient * scale, jacobian=raw.jacobian * scale, inequality_jacobian=raw.inequality_jacobian * scale
             )
-            own = _reduced(scaled, v, together, left, [i - first for i in full])
-            gradient = own.gradient + weights[: m + len(taut) + len(full)] @ np.vstack([own.jacobian, own.inequality_jacobian])
-            others = program.sets
+            balls = [replace(together[i - first], upper=float(others[together[i - first].place]["upper"])) for i in full]
+            own = _reduced(scaled, v, balls, left, _others(raw, together))
+            slopes = np.vstack([own.jacobian, own.inequality_jacobian])
             active = np.concatenate([own.constraints, own.inequalities, [_Bound(others[i]).value(at) for i in held_places]])
-            return gradient, active, own.objective + weights @ active, program.rollout(at)[0]
+            return own.gradient + weights[: len(slopes)] @ slopes, active, own.objective + weights @ active, program.rollout(at)[0]
 
         of_constraints, of_limits = np.zeros(len(raw.constraints)), np.zeros(len(inequalities))
         of_constraints[_others(raw, together)] = multipliers[:m]
         of_limits[near] = multipliers[m:first]
         for i in full:
-            ball = together[i - first]
-            of_constraints[ball.rows] = multipliers[i] * ball.weights(raw, v)
+            of_constraints[together[i - first].rows] = multipliers[i] * together[i - first].weights(raw, v)
         hessian = self.linearize(v, of_constraints, of_limits, rows=limits).hessian
         for i in held:
             hessian = hessian + multipliers[i] * bounds[i - last].curvature(len(v))
@@ -302,7 +301,7 @@ class _Together:
 
     def curvature(self, local: Quadratic, left: np.ndarray) -> np.ndarray:
         """Returns the second derivative along the variables that are `left`, without that of `c`."""
-        along = local.jacobian[np.ix_(self.rows, left)] / (self.slope * self.upper)
+        along = local.jacobian[np.ix_(np.array(self.rows), left)] / (self.slope * self.upper)
         return along.T @ along
 
 
@@ -311,14 +310,9 @@ def _others(local: Quadratic, together: list[_Together]) -> np.ndarray:
     return np.setdiff1d(np.arange(len(local.constraints)), [row for ball in together for row in ball.rows])
 
 
-def _reduced(
-    local: Quadratic, v: np.ndarray, together: list[_Together], left: np.ndarray, counted: list[int] | None = None
-) -> Quadratic:
-    """Returns values and derivatives over the variables that are `left`; the last inequalities are those of the balls, of all or of those that
-    are counted, and the constraints of all balls go.
-    """
-    balls = together if counted is None else [together[i] for i in counted]
-    others, jacobian = _others(local, together), local.jacobian[:, left]
+def _reduced(local: Quadratic, v: np.ndarray, balls: list[_Together], left: np.ndarray, others: np.ndarray) -> Quadratic:
+    """Returns values and derivatives over the variables that are `left`, with these other constraints; the last inequalities are those of balls."""
+    jacobian = local.jacobian[:, left]
     values = [ball.value(local, v) for ball in balls]
     slopes = [ball.weights(local, v) @ jacobian[ball.rows] for ball in balls]
     return replace(

@@ -3,6 +3,7 @@ numbers of the arm. With PyTorch and JAX they are functions like any other of th
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -181,6 +182,8 @@ class Rollout:
             return tuple(torch.as_tensor(own, dtype=like.dtype, device=like.device) for own in states)
 
         def backward(context: Any, *along: Any) -> Any:
+            if torch.is_grad_enabled():
+                raise RuntimeError("a rollout has no second derivatives: leave create_graph out")
             arrays = [own.detach().cpu().double().numpy() for own in along]
             values = context.given[2]
             found = context.motion.gradient(*arrays, values=values is not None and values.requires_grad)
@@ -205,50 +208,91 @@ class Rollout:
         return rolled
 
     def to_jax(self) -> Callable[..., tuple[Any, Any, Any, Any]]:
-        """Returns the rollout as a function of arrays of JAX, with its derivative backward: `f(efforts, values)` returns `x`, `R`, `v`, `w`; without
-        numbers of the arm give `values` the shape `(0,)`. It runs outside of the compiled program, on the processor, and `jax.vmap` makes a batch of it
-        where efforts and values both have the axis.
+        """Returns the rollout as a function of arrays of JAX, with its derivative backward: `f(efforts=None, values=None, wrenches=None, start=None,
+        intervals=None)` returns `x`, `R`, `v`, `w` in the type of its first array. It runs outside of the compiled program, on the processor, and
+        `jax.vmap` makes a batch of it. Axes of batches that not all arguments have are those of NumPy's rules.
         """
         import jax  # type: ignore[import-not-found,import-untyped,unused-ignore]
         import jax.numpy as jnp  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
-        n_nodes = self._native.n_nodes
+        plain, n_nodes = (2, 3, 1, 2, 3, 2, 2), self._native.n_nodes
 
-        def shapes(efforts: Any) -> Any:
-            times = efforts.shape[:-2] + (efforts.shape[-2] + (0 if self.linear else 1), n_nodes)
-            return tuple(jax.ShapeDtypeStruct(times + own, efforts.dtype) for own in [(3,), (3, 3), (3,), (3,)])
+        def made(given: tuple[int, ...], intervals: int | None) -> Any:
+            """The function of the arguments at these places, which have the same axes of batches."""
 
-        def motion_of(efforts: Any, values: Any) -> Motion:
-            return self._of([np.asarray(efforts), None, np.asarray(values), None, None, None, None], None)
+            def lead(arrays: Sequence[Any]) -> tuple[int, ...]:
+                return arrays[0].shape[: arrays[0].ndim - plain[given[0]]]
 
-        def states(efforts: Any, values: Any) -> Any:
-            motion = motion_of(efforts, values)
-            return tuple(own.astype(efforts.dtype) for own in (motion.x, motion.R, motion.v, motion.w))
+            def motion_of(arrays: Sequence[Any]) -> Motion:
+                own: list[Any] = [None] * len(plain)
+                for place, array in zip(given, arrays):
+                    array = np.asarray(array, float)
+                    inner = array.shape[array.ndim - plain[place] :]
+                    own[place] = array.reshape((-1, *inner)) if array.ndim > plain[place] else array
+                return self._of(own, intervals)
 
-        def slopes(efforts: Any, values: Any, *along: Any) -> Any:
-            found = motion_of(efforts, values).gradient(*(np.asarray(own, float) for own in along), values=bool(self.numbers))
-            return found.efforts.astype(efforts.dtype), found.values.reshape(values.shape).astype(values.dtype)
+            def shapes(arrays: Sequence[Any]) -> Any:
+                rows = next((a.shape[a.ndim - plain[i]] for i, a in zip(given, arrays) if i < 2), None)
+                n = (intervals or 0) if rows is None else rows - self.linear
+                times = (*lead(arrays), n + 1, n_nodes)
+                return tuple(jax.ShapeDtypeStruct(times + own, arrays[0].dtype) for own in [(3,), (3, 3), (3,), (3,)])
 
-        def plain(efforts: Any, values: Any) -> Any:
-            return jax.pure_callback(states, shapes(efforts), efforts, values, vmap_method="broadcast_all")
+            def states(*arrays: Any) -> Any:
+                motion = motion_of(arrays)
+                parts = zip((motion.x, motion.R, motion.v, motion.w), shapes(arrays))
+                return tuple(own.reshape(like.shape).astype(like.dtype) for own, like in parts)
 
-        rolled: Any = jax.custom_vjp(plain)
+            def slopes(*both: Any) -> Any:
+                arrays, along = both[: len(given)], both[len(given) :]
+                motion = motion_of(arrays)
+                parts = zip(along, (motion.x, motion.R, motion.v, motion.w))
+                found = motion.gradient(*(np.asarray(own, float).reshape(like.shape) for own, like in parts), values=2 in given)
+                every = [found.efforts, found.wrenches, found.values, *found.start]
+                return tuple(every[i].reshape(array.shape).astype(array.dtype) for i, array in zip(given, arrays))
 
-        def forward(efforts: Any, values: Any) -> Any:
-            return rolled(efforts, values), (efforts, values)
+            def called(*arrays: Any) -> Any:
+                return jax.pure_callback(states, shapes(arrays), *arrays, vmap_method="broadcast_all")
 
-        def backward(kept: Any, along: Any) -> Any:
-            like = tuple(jax.ShapeDtypeStruct(own.shape, own.dtype) for own in kept)
-            return jax.pure_callback(slopes, like, *kept, *along, vmap_method="broadcast_all")
+            rolled: Any = jax.custom_vjp(called)
 
-        rolled.defvjp(forward, backward)
-        return lambda efforts, values=(): rolled(jnp.asarray(efforts), jnp.asarray(values, jnp.asarray(efforts).dtype))
+            def forward(*arrays: Any) -> Any:
+                return rolled(*arrays), arrays
+
+            def backward(kept: Any, along: Any) -> Any:
+                like = tuple(jax.ShapeDtypeStruct(own.shape, own.dtype) for own in kept)
+                return jax.pure_callback(slopes, like, *kept, *along, vmap_method="broadcast_all")
+
+            rolled.defvjp(forward, backward)
+            return rolled
+
+        known = functools.cache(made)
+
+        def whole(
+            efforts: Any = None, values: Any = None, wrenches: Any = None, start: State | None = None, intervals: int | None = None
+        ) -> Any:
+            every = [efforts, wrenches, values, *(start or (None,) * 4)]
+            given = tuple(i for i, own in enumerate(every) if own is not None)
+            if not given:
+                raise ValueError("give efforts, wrenches, values or a start: without any there is nothing to differentiate along")
+            first = jnp.asarray(every[given[0]])
+            arrays = [jnp.asarray(every[i], first.dtype) for i in given]
+            short = [i for i, own in zip(given, arrays) if own.ndim < plain[i]]
+            if short:
+                raise ValueError(f"{_ARGUMENTS[short[0]]} has too few axes: {plain[short[0]]} or more are expected")
+            axes = jnp.broadcast_shapes(*(own.shape[: own.ndim - plain[i]] for i, own in zip(given, arrays)))
+            spread = [jnp.broadcast_to(own, axes + own.shape[own.ndim - plain[i] :]) for i, own in zip(given, arrays)]
+            return known(given, intervals)(*spread)
+
+        return whole
 
     def _of(self, arrays: Sequence[Any], intervals: int | None) -> Motion:
         """Returns the motion of efforts, wrenches, values, and the four parts of the start."""
         efforts, wrenches, values, *start = arrays
         begin = None if start[0] is None else State(*start)
         return self(efforts, wrenches=wrenches, values=values, start=begin, intervals=intervals)
+
+
+_ARGUMENTS = ("efforts", "wrenches", "values", "x of the start", "R of the start", "v of the start", "w of the start")
 
 
 def _again(scene: Scene, dt: float, numbers: Sequence[str], linear: bool, nodes: Sequence[int]) -> Rollout:

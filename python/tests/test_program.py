@@ -118,6 +118,8 @@ def test_refusals(program):
         ("reach", {"rod.elements": 5, "control.force_max_n": 1.2, "task.at_rest": "tip", "task.stays_m": None}, ["rod.material.youngs_modulus_pa", "control.force_max_n"]),
         # The arm stays, with an end that is fixed and soft rows in a ball, whose basis differs between two programs.
         ("reach", {"rod.elements": 5}, ["task.position_m.0", "rod.material.density_kg_m3"]),
+        # Fewer controls than rows of the stay, and a bound that does not act.
+        ("reach-tendons", {"rod.elements": 8, "control.blocks": 4}, ["damping.viscous_1_s"]),
         # Rows of an obstacle.
         ("reach-obstacle", {"rod.elements": 6}, ["obstacle.0.sphere.radius_m"]),
     ],

@@ -217,6 +217,30 @@ def test_torch_and_jax_have_the_same_derivatives():
     rows = np.stack([own, 2 * own])
     many = jax.vmap(jax.grad(lambda efforts: (function(efforts, rollout.values)[0][:, -1] ** 2).sum()))(rows)
     assert np.allclose(many[0], expected.efforts, rtol=1e-12)
+    # Two axes of batches, numbers that all of them share, a start and wrenches.
+    rollout = scene().rollout(0.02, KEYS[:1], nodes=[-1])
+    function, state = rollout.to_jax(), plain.end
+    pulls = np.full((len(own), 1, 6), 1e-3)
+
+    def total(efforts, values, wrenches, x):
+        return (function(efforts, values, wrenches=wrenches, start=state._replace(x=x))[0][..., -1, :] ** 2).sum()
+
+    batch = np.stack([[own, 0.5 * own, 0.2 * own]] * 2)
+    slopes = jax.grad(total, argnums=(0, 1, 2, 3))(batch, rollout.values, pulls, state.x)
+    motion = rollout(batch.reshape((-1, *own.shape)), wrenches=pulls, start=state)
+    expected = motion.gradient(tip=2 * motion.tip)
+    assert np.allclose(slopes[0], expected.efforts.reshape(batch.shape), rtol=1e-12)
+    assert np.allclose(slopes[1], expected.values.sum(axis=0), rtol=1e-12)
+    assert np.allclose(slopes[2], expected.wrenches.sum(axis=0), rtol=1e-12) and np.allclose(slopes[3], expected.start.x.sum(axis=0), rtol=1e-12)
+    mapped = jax.vmap(jax.vmap(jax.grad(lambda efforts: total(efforts, rollout.values, pulls, state.x))))(batch)
+    assert np.allclose(mapped, slopes[0], rtol=1e-12)
+
+
+def test_second_derivatives_of_motions_are_refused():
+    torch = pytest.importorskip("torch")
+    function = scene().rollout(0.02).to_torch()
+    with pytest.raises(RuntimeError, match="second derivatives"):
+        torch.autograd.functional.hessian(lambda own: (function(own)[0][-1, -1] ** 2).sum(), torch.tensor(efforts()))
 
 
 def test_an_arm_is_designed(capsys, monkeypatch):

@@ -61,9 +61,13 @@ fn limit_advice(setup: &ClosedLoopSetup, run: &Outcome, limits: &[LimitPeak]) ->
             run.tally.breaking, run.tally.samples
         )
     } else {
-        "the plan keeps it, the arm does not: what the model has wrong takes the rest; a margin_m or a smaller limit leaves room for that, and \
-         doubt.share finds how much"
-            .into()
+        let how = match setup.experiment.margins.iter().any(|own| *own > 0.0) {
+            true => "",
+            false => ", and doubt.share finds how much",
+        };
+        format!(
+            "the plan keeps it, the arm does not: what the model has wrong takes the rest; a margin_m or a smaller limit leaves room for that{how}"
+        )
     };
     (limits.iter().filter(|peak| peak.violated))
         .map(|peak| format!("{}: {why}", peak.words()))
