@@ -65,6 +65,9 @@ class Result:
     of a node to space. SI units.
     """
 
+    along: tuple[np.ndarray, np.ndarray] | None = None
+    """Derivatives of the shape of an equilibrium along numbers, where `Scene.equilibrium` was asked for them."""
+
     def __init__(
         self,
         directory: str | os.PathLike[str],

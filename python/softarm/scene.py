@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from . import _softarm
 from .control import Controller, Plant
-from .errors import ResultError, SceneError
+from .errors import ModelError, ResultError, SceneError
 from .profiles import with_rows
 from .program import Program
 from .results import Folder, Result
@@ -37,12 +37,12 @@ class Shapes:
     R: npt.NDArray[np.float64]
     """Rotations of the nodes, body to space, `(n, K+1, 3, 3)`."""
     jacobian: npt.NDArray[np.float64] | None = None
-    """Derivatives of the tip's position along the inputs, `(n, 3, m)`, NaN of a shape that is about to buckle; `None` if not asked for."""
+    """Derivatives of the tip's position along the inputs, `(n, 3, m)`, NaN of a shape that nothing holds in some direction, as where it is about to buckle; `None` if not asked for."""
     stable: npt.NDArray[np.bool_] | None = None
     """Whether the shapes are stable, `(n,)`; `None` if not asked for."""
     along: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
     """Derivatives of positions, `(n, p, K+1, 3)`, and rotations, rad in the frames of the nodes in the same shape, along the `p` numbers of `gradient`;
-    NaN of a shape that is about to buckle; `None` if not asked for."""
+    NaN of a shape that nothing holds in some direction, as where it is about to buckle; `None` if not asked for."""
 
     @property
     def tips(self) -> npt.NDArray[np.float64]:
@@ -308,9 +308,23 @@ class Scene:
         points: int = 21,
         time: float = 0.0,
         accuracy: float | None = None,
+        gradient: Sequence[str] = (),
     ) -> Result:
-        """Computes the arm at rest, its stability, and its shapes over the load factor up to `to`."""
-        return self._run("equilibrium", out, _options(to=to, points=points, time=time, accuracy=accuracy), None)
+        """Computes the arm at rest, its stability, and its shapes over the load factor up to `to`.
+
+        With `gradient` the result has `along`: the derivatives of the shape under the whole loads along numbers of the scene by their keys, those of
+        positions `(p, K+1, 3)` and of rotations, rad in the frames of the nodes. They are those of `shapes`, and need the number of elements and `time` 0.
+        """
+        result = self._run("equilibrium", out, _options(to=to, points=points, time=time, accuracy=accuracy), None)
+        if gradient:
+            if time != 0.0:
+                raise ValueError("gradient is that of the arm under its whole loads at time 0: leave `time` out")
+            found = self.shapes(gradient=gradient)
+            whole = result.x[np.argmin(np.abs(result.t - 1.0))]
+            if whole.shape != found.x[0].shape or np.abs(whole - found.x[0]).max() > 1e-6 * np.abs(whole).max():
+                raise ModelError("the shape that follows from the one at rest is another one than that of a search near it, or has other elements")
+            result.along = None if found.along is None else (found.along[0][0], found.along[1][0])
+        return result
 
     @property
     def inputs(self) -> list[tuple[str, str]]:

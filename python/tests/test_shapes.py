@@ -36,6 +36,31 @@ def test_shapes_are_equilibria_and_their_slopes_differences():
     assert one.tips.shape == (1, 3) and one.jacobian is None and one.stable is None
 
 
+def test_equilibria_have_gradients():
+    """A straight arm under its tip load: the tip sinks as that of the linear rod, and a number that jumps has no derivative."""
+    arm = sa.Scene(sa.arm(0.3, 0.01, 1e5, elements=8, gravity=False) | {"time": {"end_s": 1.0}, "load": [{"node": "tip", "force_n": [1e-6, 0.0, 0.0]}]})
+    found = arm.equilibrium(points=2, gradient=["load.0.force_n.0", "base.position_m.1"])
+    stiffness = 1e5 * np.pi / 4 * 0.01**4
+    assert found.along[0][0, -1, 0] == pytest.approx(0.3**3 / (3 * stiffness), rel=5e-3)
+    assert np.allclose(found.along[0][1], [0.0, 1.0, 0.0], atol=1e-9)
+    with pytest.raises(ValueError, match="whole loads"):
+        arm.equilibrium(points=2, time=0.5, gradient=["load.0.force_n.0"])
+    with pytest.raises(sa.SceneError, match="turns the arm at once"):
+        arm.shapes(gradient=["base.direction.0"])  # it points along -z
+
+
+def test_shapes_that_nothing_holds_have_no_gradient():
+    """A round arm that buckled under twice Euler's load may turn about the load; a little below that load it has a derivative."""
+    stiffness = 1e5 * np.pi / 4 * 0.01**4
+    euler = np.pi**2 * stiffness / (4 * 0.3**2)
+    straight = sa.arm(0.3, 0.01, 1e5, elements=8, gravity=False, direction=(0.0, 0.0, 1.0))
+    arm = sa.Scene(straight | {"time": {"end_s": 1.0}, "load": [{"node": "tip", "force_n": [0.0, 0.0, 0.0]}]})
+    key = "load.0.force_n.2"
+    below, above = (arm.shapes(changes={key: part * -euler}, gradient=[key]) for part in (0.9, 2.0))
+    assert np.isfinite(below.along[0]).all() and np.abs(below.tips[0, :2]).max() < 1e-9
+    assert np.isnan(above.along[0]).all() and np.abs(above.tips[0, :2]).max() > 0.1
+
+
 def test_columns_of_keys_are_those_of_scenes():
     arm = scene(load=[{"node": "tip", "force_n": [0.0, 0.0, 0.0]}])
     moduli, forces = np.linspace(8e4, 2e5, 30), np.linspace(0.0, 0.02, 30)

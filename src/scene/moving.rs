@@ -1,6 +1,6 @@
 //! The arm of a scene as a program moves it, and arms beside it, with more or less of some numbers.
 
-use super::overrides::number;
+use super::overrides::{Override, number, value_at};
 use super::{Scene, SceneError, SceneSource};
 use crate::mechanics::at_rest::RodsBeside;
 use crate::mechanics::rollout::Beside;
@@ -15,6 +15,9 @@ use crate::task::{Discretization, StartError};
 const DIFFERENCE: f64 = 3e-5;
 /// Part of that distance for a difference to one side, whose error is of first order.
 const ONE_SIDED: f64 = 1e-3;
+
+/// Turn, rad, by which the orientation of a node jumps: a number on which it depends smoothly turns it by some thousandths of that.
+const JUMP: f64 = 1e-2;
 
 /// Two things of one kind, the first with more of a number and the second with less, and the difference of that number.
 type Pair<T> = ([T; 2], f64);
@@ -108,6 +111,31 @@ impl ArmNumbers {
         keys.iter().map(one).collect()
     }
 
+    /// Returns overrides that write out the lists of which some keys name a number and which the scene leaves at their defaults.
+    #[must_use]
+    pub fn written_out(&self, keys: &[String]) -> Vec<String> {
+        let mut given: toml::Table = toml::from_str(&self.source.text).unwrap_or_default();
+        for setter in (self.source.overrides.iter()).filter_map(|text| Override::parse(text).ok()) {
+            // The scene was read with them.
+            let _ = setter.apply(&mut given);
+        }
+        let table: toml::Table = toml::from_str(&self.resolved.to_toml()).unwrap_or_default();
+        let mut out: Vec<String> = Vec::new();
+        for key in keys {
+            let Some((list, index)) = key.rsplit_once('.') else {
+                continue;
+            };
+            let is_missing = index.parse::<usize>().is_ok() && value_at(&given, list).is_none();
+            if let (true, Some(value)) = (is_missing, value_at(&table, list)) {
+                let setter = format!("{list}={value}");
+                if !out.contains(&setter) {
+                    out.push(setter);
+                }
+            }
+        }
+        out
+    }
+
     /// Returns rods with more and with less of each number than one of the scene.
     ///
     /// # Errors
@@ -133,6 +161,7 @@ impl ArmNumbers {
         make: &(impl Fn(&Scene, Rod) -> Result<(Rod, T), SceneError> + Sync),
     ) -> Result<Vec<Pair<(Rod, T)>>, SceneError> {
         let values = self.values(keys)?;
+        let given = [&self.source.overrides[..], &self.written_out(keys)].concat();
         let one = |index: usize| {
             let (key, value) = (&keys[index], values[index]);
             let half = match value {
@@ -141,8 +170,7 @@ impl ArmNumbers {
             };
             let with = |x: f64| {
                 let SceneSource { name, text, .. } = &self.source;
-                let setter = [format!("{key}={x:e}")];
-                let overrides = [&self.source.overrides[..], &setter].concat();
+                let overrides = [&given[..], &[format!("{key}={x:e}")]].concat();
                 let (scene, source) = Scene::from_toml(name, text, &overrides)?;
                 let rod = if self.is_plant {
                     scene.plant_rod(&source, &self.discretization)?
@@ -168,6 +196,11 @@ impl ArmNumbers {
             if ahead.0.n_nodes() != rod.n_nodes() || ahead.0.mesh != rod.mesh {
                 return refuse("changes where elements end, along which there is no derivative");
             }
+            if [&ahead.0, &behind.0].iter().any(|own| jumps(rod, own)) {
+                return refuse(
+                    "turns the arm at once, as the direction of a base turns its roll where it points along -z: give base.orientation_wxyz",
+                );
+            }
             Ok(([ahead, behind], width))
         };
         on_threads(keys.len(), n_threads, one)
@@ -181,6 +214,12 @@ impl MovingArm {
     /// Returns [`SceneError`] at a key that is no number of the scene.
     pub fn values(&self, keys: &[String]) -> Result<Vec<f64>, SceneError> {
         self.numbers.values(keys)
+    }
+
+    /// Returns overrides that write out lists, as [`ArmNumbers::written_out`].
+    #[must_use]
+    pub fn written_out(&self, keys: &[String]) -> Vec<String> {
+        self.numbers.written_out(keys)
     }
 
     /// Returns arms with more and with less of each number, named by its dotted key in the scene.
@@ -209,6 +248,12 @@ impl MovingArm {
         };
         Ok(found.into_iter().map(pair).collect())
     }
+}
+
+/// Tells whether a node at rest has another orientation than in a rod that differs by a small part of a number.
+fn jumps(rod: &Rod, other: &Rod) -> bool {
+    (rod.rest.rotations.iter().zip(&other.rest.rotations))
+        .any(|(own, other)| (other - own).norm() > JUMP)
 }
 
 /// Returns the size of a number that is zero, by the unit at the end of its key.

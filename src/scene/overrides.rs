@@ -139,7 +139,7 @@ pub(crate) fn numbers(table: &Table, key: &str) -> Option<Vec<f64>> {
     found.filter(|found| !found.is_empty())
 }
 
-fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+pub(super) fn value_at<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
     let mut parts = key.split('.');
     let mut value = table.get(parts.next()?)?;
     for part in parts {

@@ -321,3 +321,44 @@ pub(crate) fn narrow_as_saved(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Drawn numbers have the mean of the scene, and the deviations and the correlation that it states; the ones beside them keep their ranges.
+    #[test]
+    fn draws_have_the_stated_covariance() {
+        let text = "[rod]\nlength_m = 1.0\nelements = 4\n[rod.material]\nyoungs_modulus_pa = 1e6\npoisson_ratio = 0.5\n\
+                    density_kg_m3 = 1000.0\n[rod.section]\nradius_m = 0.05\n[damping]\nviscous_1_s = 1.0\n[time]\nend_s = 1.0\n\
+                    [doubt]\ncorrelation = [[1.0, -0.8], [-0.8, 1.0]]\n[[doubt.number]]\nkey = \"rod.material.youngs_modulus_pa\"\n\
+                    sigma = 1e5\n[[doubt.number]]\nkey = \"damping.viscous_1_s\"\nrange = [0.5, 1.5]\n[[doubt.number]]\n\
+                    key = \"rod.material.density_kg_m3\"\nsigma = 20.0\n";
+        let (scene, _) = Scene::from_toml("draws", text, &[]).unwrap();
+        let draws = Draws::of(&scene).unwrap();
+        let n = 4000;
+        let rows: Vec<[f64; 3]> = (0..n)
+            .map(|plant| {
+                let own = draws.overrides(Purpose::Check, plant);
+                [0, 1, 2].map(|i: usize| {
+                    let (_, value) = own[i].split_once('=').unwrap();
+                    value.parse().unwrap()
+                })
+            })
+            .collect();
+        let scaled = |row: &[f64; 3]| [(row[0] - 1e6) / 1e5, (row[2] - 1000.0) / 20.0];
+        let mean = |of: &dyn Fn(&[f64; 3]) -> f64| rows.iter().map(of).sum::<f64>() / n as f64;
+        // Four standard deviations of the means of so many draws.
+        let off = 4.0 / (n as f64).sqrt();
+        for i in 0..2 {
+            assert!(mean(&|row| scaled(row)[i]).abs() < off);
+            assert!((mean(&|row| scaled(row)[i].powi(2)) - 1.0).abs() < 2f64.sqrt() * off);
+        }
+        let correlation = mean(&|row| scaled(row)[0] * scaled(row)[1]);
+        assert!(
+            (correlation + 0.8).abs() < 2f64.sqrt() * off,
+            "{correlation}"
+        );
+        assert!(rows.iter().all(|row| (0.5..1.5).contains(&row[1])));
+    }
+}

@@ -345,6 +345,58 @@ fn loops_keep_inside_for_a_part_of_their_plants() {
     let again = desk.done("mpc kept/scene.toml --out again");
     assert_eq!(again["doubt"], kept["doubt"]);
     assert_eq!(number(&again["limits"][0]["margin"]), margin);
+    let says = |run: &Value| run["advice"].to_string().contains("NOT KEPT");
+    assert!(!says(&kept) && !says(&bare));
+    let broken = desk.done(&format!("{line} --set doubt.margins=[0.0]"));
+    assert!(says(&broken), "{}", broken["advice"]);
+}
+
+/// Standard deviations and correlations that are none are refused, and a number that is in doubt twice; with them plants are drawn.
+#[test]
+fn numbers_have_covariances() {
+    let (arm, _) = ARM.split_once("[doubt]").unwrap();
+    let text = format!(
+        "{arm}[doubt]\nplants = 40\n[[doubt.number]]\nkey = \"rod.material.youngs_modulus_pa\"\nsigma = 1e5\n\
+         [[doubt.number]]\nkey = \"rod.material.density_kg_m3\"\nsigma = 20.0\n"
+    );
+    let desk = Desk::holding(&text);
+    for (change, words) in [
+        (
+            "doubt.correlation=[[1.0,2.0],[2.0,1.0]]",
+            "doubt.correlation: these are no correlations",
+        ),
+        (
+            "doubt.correlation=[[1.0]]",
+            "doubt.correlation: these are no correlations",
+        ),
+        (
+            "doubt.correlation=[[1.0,0.5],[0.4,1.0]]",
+            "doubt.correlation: these are no correlations",
+        ),
+        ("doubt.number.0.sigma=0.0", "doubt.number.0.sigma"),
+        ("doubt.number.0.sigma=nan", "doubt.number.0.sigma"),
+        ("doubt.number.0.factor=[0.9,1.1]", "doubt.number.0"),
+        (
+            "doubt.number.1.key=rod.material.youngs_modulus_pa",
+            "in doubt twice",
+        ),
+    ] {
+        let (code, _, talk) = desk.run(&format!("solve arm.toml --out none --set {change}"));
+        assert_eq!(code, USAGE, "{change}");
+        assert!(talk.contains(words), "{change}: {talk}");
+    }
+    let of = |set: &str| {
+        number(&desk.done(&format!("solve arm.toml --out run {set}"))["check"]["doubt"]["share"])
+    };
+    // The free arm rests at the wall's brink: nearly half of the plants are softer and enter it.
+    let (wide, narrow) = (
+        of(""),
+        of("--set doubt.number.0.sigma=1.0 --set doubt.number.1.sigma=1e-3"),
+    );
+    assert!(
+        (0.1..0.6).contains(&wide) && narrow == 0.0,
+        "{wide} {narrow}"
+    );
 }
 
 /// Margins from nine earlier runs, on plants that nobody drew for this purpose, keep most of twelve further runs of the same kind within the
@@ -392,12 +444,14 @@ fn loops_learn_their_margins_from_earlier_runs() {
         r#"{ "limits": [{ "name": "wall", "excess": 0.1 }] }"#,
     )
     .unwrap();
-    fs::write(
-        desk.path("broken.json"),
-        r#"{ "status": "failed", "limits": [] }"#,
-    )
-    .unwrap();
-    let broken = format!("doubt.runs=[{}]", ["'broken.json'"; 9].join(","));
+    let mut broken = Vec::new();
+    for i in 0..9 {
+        let name = format!("broken{i}.json");
+        let text = r#"{ "status": "failed", "limits": [] }"#;
+        fs::write(desk.path(&name), text).unwrap();
+        broken.push(format!("'{name}'"));
+    }
+    let broken = format!("doubt.runs=[{}]", broken.join(","));
     for (change, words) in [
         (
             "doubt.runs=['run1']",
@@ -412,6 +466,10 @@ fn loops_learn_their_margins_from_earlier_runs() {
             "doubt.runs.0: nowhere",
         ),
         ("doubt.margins=[0.1]", "two places of the same numbers"),
+        (
+            "doubt.share=0.4 --set doubt.runs=['run1','./run1']",
+            "doubt.runs.1: ./run1 is there twice",
+        ),
         (&broken, "doubt.runs: more than 0 of the runs broke down"),
     ] {
         let (code, _, talk) = desk.run(&format!("mpc learned.toml --out none --set {change}"));

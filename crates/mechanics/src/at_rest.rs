@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector3, Vector6};
 use super::equilibrium::{
     EquilibriumError, NodeSpring, nearby_equilibrium_until, static_equilibrium_until,
 };
-use super::tangent::{Stability, Tangent};
+use super::tangent::{Stability, Tangent, TangentLu};
 use super::threads::on_threads;
 use cosserat::configuration::{Configuration, State, TrajectoryTangent};
 use cosserat::forces::NodalForces;
@@ -117,7 +117,7 @@ pub fn shapes_beside(
     shape: &Configuration,
     others: &[Rod],
 ) -> Option<Vec<Configuration>> {
-    let lu = Tangent::stiffness(rod, shape, 0.0).factor()?;
+    let lu = resisting(rod, shape)?;
     let here = forces(rod, shape);
     let mut shapes = Vec::with_capacity(others.len());
     let changes: Vec<Vec<Vector6<f64>>> = (others.iter())
@@ -135,6 +135,35 @@ pub fn shapes_beside(
         displace(other, shape, &step);
     }
     Some(shapes)
+}
+
+/// Motion of a node, divided by the length or in rad, under forces and moments of the size of the rod's scales on all nodes, from which on
+/// nothing but rounding resists it: 1 where an arm resists as a straight one does.
+const UNRESISTED: f64 = 1e6;
+
+/// Returns the factors of the tangent stiffness; `None` where nothing resists a motion: where a shape is about to buckle, or where a round arm
+/// that buckled may turn about its line of thrust.
+fn resisting(rod: &Rod, shape: &Configuration) -> Option<TangentLu> {
+    let lu = Tangent::stiffness(rod, shape, 0.0).factor()?;
+    let (force, moment) = (rod.scales.force, rod.scales.moment);
+    // No motion of few waves is orthogonal to loads without a pattern.
+    let load = |i: usize| (0.618_034 * (i + 1) as f64).fract() - 0.5;
+    let mut loads: Vec<Vector6<f64>> = (rod.first_free_node()..rod.n_nodes())
+        .map(|node| {
+            Vector6::from_fn(|axis, _| {
+                load(6 * node + axis) * if axis < 3 { force } else { moment }
+            })
+        })
+        .collect();
+    rod.project_joints(&mut loads);
+    let moved = lu.solve(std::slice::from_ref(&loads));
+    let largest = (moved.iter().flatten())
+        .map(|own| {
+            let place = own.fixed_rows::<3>(0).norm() / rod.scales.length;
+            place.max(own.fixed_rows::<3>(3).norm())
+        })
+        .fold(0.0, f64::max);
+    (largest < UNRESISTED).then_some(lu)
 }
 
 /// What is asked of every shape.
@@ -159,7 +188,7 @@ pub struct ShapeAtRest {
     /// Tells whether it is stable, where that is wanted.
     pub is_stable: Option<bool>,
     /// Derivatives of positions and rotations (spatial, and in the frame of the node) along the numbers of [`RodsBeside`], one tangent for each;
-    /// `None` without any, and of a shape that is about to buckle.
+    /// `None` without any, and of a shape that nothing holds in some direction.
     pub along: Option<Vec<TrajectoryTangent>>,
 }
 
@@ -233,9 +262,9 @@ fn derivatives(
     )
 }
 
-/// Returns the derivatives of the tip's position along the inputs of a shape at rest; `None` where it is about to buckle.
+/// Returns the derivatives of the tip's position along the inputs of a shape at rest; `None` where nothing [resists](resisting) a motion.
 fn tip_jacobian(rod: &Rod, shape: &Configuration, inputs: &[f64]) -> Option<Vec<Vector3<f64>>> {
-    let lu = Tangent::stiffness(rod, shape, 0.0).factor()?;
+    let lu = resisting(rod, shape)?;
     let (x, r) = (&shape.positions, &shape.rotations);
     let state = rod.effort_state((x, r));
     let pulls: Vec<Vec<Vector6<f64>>> = (0..inputs.len())

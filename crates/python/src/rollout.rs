@@ -201,7 +201,7 @@ impl Rollout {
         nodes: Vec<isize>,
     ) -> PyResult<Self> {
         let (_, source) = read(py, &name, text.as_deref(), &overrides)?;
-        let origin = Origin {
+        let mut origin = Origin {
             name,
             text,
             overrides,
@@ -210,6 +210,7 @@ impl Rollout {
         let mut own = Valued::of(&origin, &source.text, (&[], &[]), &stop)
             .map_err(|error| scene_error(py, &error))?;
         own.values = (own.arm.values(&keys)).map_err(|error| scene_error(py, &error))?;
+        origin.overrides.extend(own.arm.written_out(&keys));
         let (n_steps, step) = steps_of(dt, own.arm.longest_step)?;
         let rod = &own.arm.rod;
         let n_nodes = rod.n_nodes();

@@ -76,7 +76,7 @@ pub(super) fn shapes<'py>(
         .discrete_rod(&source)
         .map_err(|error| scene_error(py, &error))?;
     let m = rod.actuators.n_driven();
-    if m == 0 && columns.is_empty() {
+    if m == 0 && columns.is_empty() && along.is_empty() {
         let words = "the arm has no actuator along it: give its scene a [[tendon]] or another one";
         return Err(PyValueError::new_err(words));
     }
