@@ -105,7 +105,9 @@ fn messages_of_ros_2_carry_a_loop() {
 }
 
 const MESSAGES: &str = r#"
+#include <cstdio>
 #include <cstring>
+#include <limits>
 
 struct Point { double x = 0, y = 0, z = 0; };
 struct Quaternion { double x = 0, y = 0, z = 0, w = 1; };
@@ -118,11 +120,17 @@ struct Path { std::vector<PoseStamped> poses; };
 struct JointState { std::vector<std::string> name; std::vector<double> effort; };
 struct Status { unsigned char level = 9; std::string name, message; };
 
+// A locale whose numbers have a decimal comma.
+struct Comma : std::numpunct<char> {
+    char do_decimal_point() const override { return ','; }
+};
+
 #define EXPECT(truth) \
     do { if (!(truth)) { std::printf("line %d: %s; %s\n", __LINE__, #truth, softarm_text()); return 1; } } while (0)
 
 int main() {
     using namespace softarm_ros;
+    std::locale::global(std::locale(std::locale::classic(), new Comma));
     // Turns about all kinds of axes, by any angle, of quaternions of any length, there and back.
     for (int i = 0; i < 2000; i++) {
         Quaternion q;
@@ -172,6 +180,9 @@ int main() {
     for (auto &point : path.poses) point.pose.position = {0.1, 0.05, 0.98};
     std::string more = reference_of(path, 100.0);
     EXPECT(more.find("[1.5, 0.1") != std::string::npos);
+    Path broken = path;
+    broken.poses[0].pose.position.y = std::numeric_limits<double>::quiet_NaN();
+    EXPECT(reference_of(broken, 100.0).find("[0, 0.10000000000000001, null, ") != std::string::npos);
     for (int k = 0; k < 300; k++) {
         softarm_measurement in{};
         EXPECT(softarm_plant_state(plant, &in.time_s, arm.x.data(), arm.r.data(), nullptr, nullptr) == SOFTARM_OK);

@@ -2,7 +2,8 @@
 #pragma once
 
 #include <cmath>
-#include <cstdio>
+#include <locale>
+#include <sstream>
 #include <string>
 #include <vector>
 
@@ -79,19 +80,30 @@ void put_poses(const Arm &arm, PoseArray &message) {
     }
 }
 
-// Returns the field `reference_m` of a measurement for the points of a nav_msgs/Path, whose stamps count from the start of the loop at `start_s`.
+// Returns the field `reference_m` of a measurement for the points of a nav_msgs/Path, whose stamps count from the start of the loop at `start_s`. A
+// number that is not finite becomes null, which the loop refuses; a decimal comma of the locale has no place in JSON.
 template <class Path>
 std::string reference_of(const Path &path, double start_s) {
-    std::string out = "{\"reference_m\": [";
+    std::ostringstream out;
+    out.imbue(std::locale::classic());
+    out.precision(17);
+    out << "{\"reference_m\": [";
     const char *comma = "";
     for (const auto &own : path.poses) {
         const double time = own.header.stamp.sec + 1e-9 * own.header.stamp.nanosec - start_s;
-        char row[160];
-        std::snprintf(row, sizeof row, "%s[%.17g, %.17g, %.17g, %.17g]", comma, time, own.pose.position.x, own.pose.position.y, own.pose.position.z);
-        out += row;
+        const char *open = "[";
+        out << comma;
+        for (const double value : {time, double(own.pose.position.x), double(own.pose.position.y), double(own.pose.position.z)}) {
+            out << open;
+            if (std::isfinite(value)) out << value;
+            else out << "null";
+            open = ", ";
+        }
+        out << "]";
         comma = ", ";
     }
-    return out + "]}";
+    out << "]}";
+    return out.str();
 }
 
 // Writes the values of the controls to a sensor_msgs/JointState: names, and values as efforts, each in its unit.
