@@ -280,7 +280,7 @@ horizon_s = 0.3
     const CHAMBERS: &str = "\
 [rod]
 length_m = 0.30
-elements = 12
+elements = 8
 [rod.material]
 preset = \"dragon-skin-30\"
 [rod.section]

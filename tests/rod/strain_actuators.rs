@@ -52,9 +52,21 @@ fn actuators() -> Vec<StrainActuator> {
             0.1,
         ),
         of(
-            Density::Threaded { spacing: 0.05 },
+            Density::Threaded {
+                spacing: 0.05,
+                clearance: 0.0,
+            },
             1.0,
             Route::straight([4e-3, -7e-3]),
+            0.2,
+        ),
+        of(
+            Density::Threaded {
+                spacing: 0.05,
+                clearance: 1e-3,
+            },
+            1.0,
+            Route::straight([-5e-3, 2e-3]),
             0.2,
         ),
         of(Density::Volume, area, Route::straight([0.0, 7e-3]), 1e3),
@@ -308,6 +320,28 @@ fn a_muscle_that_is_too_short_or_too_long_exerts_nothing() {
     }
 }
 
+/// The length of a tendon through disks along an arm of 0.3 m that is bent to an arc of this curvature about its second axis.
+fn threaded_length(curvature: f64, offset: f64, spacing: f64, clearance: f64) -> f64 {
+    let section = SectionProfile::Uniform(Section::circle(&silicone(), 0.01));
+    let rod = Rod::new(&RodParameters {
+        rest_curvature: Vector3::new(0.0, curvature, 0.0),
+        actuators: vec![StrainActuator {
+            name: "threaded".into(),
+            density: Density::Threaded { spacing, clearance },
+            scale: 1.0,
+            route: Route::straight([offset, 0.0]),
+            effort: Vec::new(),
+            winch: None,
+            further: Vec::new(),
+            friction: None,
+            largest: 1.0,
+        }],
+        ..RodParameters::straight(0.3, 9, section)
+    })
+    .unwrap();
+    -rod.actuator_coordinates(&rod.rest.positions, &rod.rest.rotations)[0]
+}
+
 /// On an arm that is bent to an arc of curvature `κ`, the length of a tendon through disks at the distance `s` is that of its chords: the loss
 /// by the chords is right to the part `(κ s)²/80` of the next term of the sine, and beside the axis to the part `κ r` of the distance `r`.
 #[test]
@@ -315,25 +349,7 @@ fn a_threaded_tendon_is_as_long_as_its_chords() {
     let (length, curvature) = (0.3, 8.0);
     for (offset, disks) in [(0.0, 6), (0.0, 12), (5e-3, 6)] {
         let spacing = length / f64::from(disks);
-        let section = SectionProfile::Uniform(Section::circle(&silicone(), 0.01));
-        let rod = Rod::new(&RodParameters {
-            rest_curvature: Vector3::new(0.0, curvature, 0.0),
-            actuators: vec![StrainActuator {
-                name: "threaded".into(),
-                density: Density::Threaded { spacing },
-                scale: 1.0,
-                route: Route::straight([offset, 0.0]),
-                effort: Vec::new(),
-                winch: None,
-                further: Vec::new(),
-                friction: None,
-                largest: 1.0,
-            }],
-            ..RodParameters::straight(length, 9, section)
-        })
-        .unwrap();
-        let at = &rod.rest;
-        let found = -rod.actuator_coordinates(&at.positions, &at.rotations)[0];
+        let found = threaded_length(curvature, offset, spacing, 0.0);
         // The center of the arc lies on the side of the first axis.
         let chord = 2.0 * (1.0 / curvature - offset) * (0.5 * curvature * spacing).sin();
         let expected = f64::from(disks) * chord;
@@ -342,5 +358,30 @@ fn a_threaded_tendon_is_as_long_as_its_chords() {
         let missing = (curvature * spacing).powi(2) / 80.0 + curvature * offset;
         assert!(apart < 1.1 * missing, "{offset} {disks}: {apart} {missing}");
         assert!(found < straight);
+    }
+}
+
+/// In wide holes the chords lie nearer to the center of the arc by the clearance `c`, on whichever side of the axis the tendon is. That is so but
+/// for the part `κ₀/κ` with `κ₀ = 8 c/s²`, by which a tendon still is straight through more than two disks; an arm that hardly bends loses
+/// nothing, and one that bends to the other side as much.
+#[test]
+fn a_tendon_in_wide_holes_lies_on_their_inner_side() {
+    let (length, spacing, clearance) = (0.3, 0.05, 2e-4);
+    let least = 8.0 * clearance / (spacing * spacing);
+    for offset in [0.0, 5e-3, -5e-3] {
+        for curvature in [8.0, 4.0, -8.0] {
+            let [wide, narrow] =
+                [clearance, 0.0].map(|own| threaded_length(curvature, offset, spacing, own));
+            let half: f64 = 0.5 * curvature.abs() * spacing;
+            let shift = length / spacing * 2.0 * clearance * half.sin();
+            let part = (narrow - wide) / shift;
+            let most = 1.0 + half * half / 5.0;
+            assert!(
+                part < most && part > 1.0 - least / curvature.abs(),
+                "{offset} {curvature}: {part}"
+            );
+        }
+        let [wide, narrow] = [clearance, 0.0].map(|own| threaded_length(0.01, offset, spacing, own));
+        assert!((narrow - wide).abs() < 0.01 * clearance * length * 0.01);
     }
 }

@@ -511,6 +511,7 @@ const SCENES: [&[&str]; 18] = [
         "tendon.3.compliance_1_n=1e-3",
         "tendon.3.free_length_m=0.05",
         "tendon.3.disk_spacing_m=0.02",
+        "tendon.3.hole_clearance_m=0.0002",
         "tendon.3.friction=0.1",
         "tendon.3.sliding_speed_m_s=2e-3",
         "tendon.3.sliding='released'",

@@ -325,9 +325,16 @@ fn along_line(point: &PlacedPoint, v: &Vector, kappa: &Vector) -> Dual {
     let stretch = dot(&p, &p).sqrt();
     match &point.density {
         Density::Shortening => -stretch,
-        &Density::Threaded { spacing } => {
+        &Density::Threaded { spacing, clearance } => {
             let bent = kappa[0] * kappa[0] + kappa[1] * kappa[1];
-            bent.scale(spacing * spacing / 24.0) - stretch
+            let mut shorter = bent.scale(spacing * spacing / 24.0);
+            if clearance > 0.0 {
+                // Where the arc between two disks is as high as the clearance.
+                let least = 8.0 * clearance / spacing.powi(2);
+                let size = (bent + Dual::constant(least * least)).sqrt();
+                shorter = shorter + (size - Dual::constant(least)).scale(clearance);
+            }
+            shorter - stretch
         }
         Density::Lengthening => stretch,
         Density::Volume => p[2],

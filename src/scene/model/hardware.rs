@@ -198,6 +198,10 @@ actuator! {
         /// shorter than its line in the section by κ² s²/24 of its length. Default: 0, a channel along the whole arm.
         #[serde(default, skip_serializing_if = "values::is_default")]
         disk_spacing_m: NonNegative<values::Length>,
+        /// Distance c in m by which the holes of the disks are wider than the tendon on every side; goes with `disk_spacing_m`. A pulled tendon lies
+        /// on the side to which the arm bends, and its way is shorter by c times the curvature there, above a curvature of 8 c/s². Default: 0.
+        #[serde(default, skip_serializing_if = "values::is_default")]
+        hole_clearance_m: NonNegative<values::Length>,
         /// Coefficient of friction along the path: where the path has turned by the angle φ, the tension is by a factor `exp(-friction φ)` less
         /// than at the motor if the tendon is pulled in, and by the inverse more if it is let out. Motions of such an arm have implicit steps.
         /// Default: 0, without friction.
@@ -223,7 +227,8 @@ impl Tendon {
     fn of_tension_or_winch(&self, index: usize) -> Common<'_> {
         let spacing = self.disk_spacing_m.get();
         let density = if spacing > 0.0 {
-            Density::Threaded { spacing }
+            let clearance = self.hole_clearance_m.get();
+            Density::Threaded { spacing, clearance }
         } else {
             Density::Shortening
         };

@@ -32,11 +32,16 @@ use crate::vector::{Lanes, Mat3, Vec3};
 pub enum Density {
     /// `-|p|`: a tendon, whose tension does work as it gets shorter.
     Shortening,
-    /// `-|p| + s² (κ₁² + κ₂²)/24`: a tendon through disks at the distance `s`, between which it is straight. On an arc a chord is shorter than
-    /// the line through the section by that, to second order in `s`.
+    /// `-|p| + s² q/24 + c (√(q + κ₀²) - κ₀)` with `q = κ₁² + κ₂²` and `κ₀ = 8 c/s²`: a tendon through disks at the distance `s`, between which it
+    /// is straight, in holes that are wider than it by `c` on every side. On an arc a chord is shorter than the line through the section by
+    /// the second term, to second order in `s`. A pulled tendon lies on the side of its holes to which the arm bends, which shortens its
+    /// way by `c` times the curvature, once that is above `κ₀`: there an arc of the length `s` is `c` high. Below, a tendon is straight
+    /// through several disks.
     Threaded {
-        /// `s`, m.
+        /// `s`, m, above 0.
         spacing: f64,
+        /// `c`, m, 0 or more.
+        clearance: f64,
     },
     /// `|p|`: a rod that pushes.
     Lengthening,
@@ -114,13 +119,38 @@ impl Density {
         }
     }
 
-    /// Returns the factor of `κ₁² + κ₂²` in a density that has them, m²; zero of others.
-    #[inline(always)]
-    fn bend(&self) -> f64 {
+    /// Returns the part of the density that depends on `q = κ₁² + κ₂²`, 1/m².
+    fn bent(&self, q: f64) -> f64 {
         match self {
-            Self::Threaded { spacing } => spacing * spacing / 24.0,
+            Self::Threaded { spacing, clearance } => {
+                let least = 8.0 * clearance / (spacing * spacing);
+                let shift = if *clearance > 0.0 {
+                    clearance * q / ((q + least * least).sqrt() + least)
+                } else {
+                    0.0
+                };
+                spacing * spacing / 24.0 * q + shift
+            }
             _ => 0.0,
         }
+    }
+
+    /// Returns twice the first derivative of that part along `q`, m², and four times the second one, m⁴, for a bending; `None` of a density
+    /// without it.
+    #[inline(always)]
+    fn bent_slopes<S: Simd>(&self, kappa: [Lanes<S>; 2]) -> Option<[Lanes<S>; 2]> {
+        let Self::Threaded { spacing, clearance } = self else {
+            return None;
+        };
+        let simd = kappa[0].simd;
+        let chord = Lanes::splat(simd, spacing * spacing / 12.0);
+        if *clearance == 0.0 {
+            return Some([chord, Lanes::splat(simd, 0.0)]);
+        }
+        let least = 8.0 * clearance / (spacing * spacing);
+        let q = kappa[0] * kappa[0] + kappa[1] * kappa[1] + least * least;
+        let slope = Lanes::splat(simd, *clearance) / q.sqrt();
+        Some([chord + slope, -(slope / q)])
     }
 
     /// Returns the part of the density that depends on `λ` and `κ₃`, or for the axial component of `p` of a [`Self::Volume`]; zero of a learned
@@ -281,9 +311,9 @@ impl<S: Simd> ActivePoint<S> {
         if let Some(sign) = density.length_sign() {
             let g = line * (self.weight * sign / length);
             let mut moment = self.moment(g);
-            let bend = density.bend();
-            if bend != 0.0 {
-                let slope = self.weight * self.inverse_length * (2.0 * bend);
+            let kappa = [psi.x, psi.y].map(|own| own * self.inverse_length);
+            if let Some([slope, _]) = density.bent_slopes(kappa) {
+                let slope = self.weight * self.inverse_length * slope;
                 moment.x = moment.x + psi.x * slope;
                 moment.y = moment.y + psi.y * slope;
             }
@@ -393,13 +423,16 @@ impl<S: Simd> ActivePoint<S> {
             pull = weight * sign;
             across = pull * inverse;
             along = -across;
-            let bend = density.bend();
-            if bend != 0.0 {
-                let slope = weight * self.inverse_length * (2.0 * bend);
+            let [kx, ky] = [psi.x, psi.y].map(|own| own * self.inverse_length);
+            if let Some([slope, bend]) = density.bent_slopes([kx, ky]) {
+                let scale = weight * self.inverse_length;
+                let (slope, bend) = (scale * slope, scale * bend);
                 first.angular.x = first.angular.x + psi.x * slope;
                 first.angular.y = first.angular.y + psi.y * slope;
                 let [x, y, _] = &mut second.angular.rows;
-                (x.x, y.y) = (x.x + slope, y.y + slope);
+                (x.x, y.y) = (x.x + slope + bend * kx * kx, y.y + slope + bend * ky * ky);
+                let mixed = bend * kx * ky;
+                (x.y, y.x) = (x.y + mixed, y.x + mixed);
             }
         } else {
             let (stretch, twist) = (length * self.inverse_length, psi.z * self.inverse_length);
@@ -537,7 +570,7 @@ impl ActivePoint<pulp::Scalar> {
                 _ => line.norm(),
             };
             let [x, y] = [psi.x, psi.y].map(|own| own.value * inverse);
-            let bent = density.bend() * (x * x + y * y);
+            let bent = density.bent(x * x + y * y);
             density.value(stretch.value * inverse, psi.z.value * inverse) + bent
         };
         let mean = linear.iter().map(of).sum::<f64>() / linear.len() as f64;

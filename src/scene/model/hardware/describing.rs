@@ -18,9 +18,11 @@ pub(in crate::scene) fn describe_hardware(
         let common = Described::of(actuators, index, efforts)?;
         order.push(match &own.density {
             Density::Shortening | Density::Threaded { .. } => {
-                let spacing = match &own.density {
-                    Density::Threaded { spacing } => known(*spacing),
-                    _ => known(0.0),
+                let [spacing, clearance] = match &own.density {
+                    Density::Threaded { spacing, clearance } => {
+                        [known(*spacing), known(*clearance)]
+                    }
+                    _ => [known(0.0); 2],
                 };
                 let sliding = own.friction.and_then(|own| {
                     let found = Sliding::ALL.iter().find(|(_, at)| *at == own.at_rest);
@@ -36,6 +38,7 @@ pub(in crate::scene) fn describe_hardware(
                     None,
                     known(0.0),
                     spacing,
+                    clearance,
                     known(friction.coefficient),
                     known(friction.speed),
                     sliding,
