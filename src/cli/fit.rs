@@ -108,6 +108,9 @@ pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) 
             "the scene with the fitted numbers: {}",
             place.path.display()
         ));
+        for words in &summary.advice {
+            console.warn(words);
+        }
     }
     Ok(match summary.status {
         "converged" => exit::DONE,
@@ -172,18 +175,21 @@ fn in_words(own: &Assumption) -> &'static str {
     }
 }
 
-/// Returns how the estimates follow a number that is taken as exact.
-fn dependence(own: &Assumption, summary: &FitSummary) -> String {
+/// Returns how the estimates follow a number that is taken as exact; `None` where all of them are 0.
+fn dependence(own: &Assumption, summary: &FitSummary) -> Option<String> {
     let (change, part) = match own.name {
         "clock" => ("late by 1 ms", 1e-3),
         _ => ("1 % larger", 1e-2),
     };
     let moves: Vec<String> = (summary.parameters.iter().zip(&own.moves))
         .filter(|(parameter, _)| parameter.list.is_none())
-        .map(|(parameter, moves)| format!("{} {:+.2} %", parameter.key, 100.0 * part * moves))
+        .filter_map(|(parameter, moves)| {
+            let percent = 100.0 * part * (*moves)?;
+            Some(format!("{} {percent:+.2} %", parameter.key))
+        })
         .collect();
     let words = in_words(own);
-    format!("  with {words} {change}: {}", moves.join(", "))
+    (!moves.is_empty()).then(|| format!("  with {words} {change}: {}", moves.join(", ")))
 }
 
 fn conclude(summary: &FitSummary, console: &Console) {
@@ -233,8 +239,11 @@ fn say_parameters(summary: &FitSummary, console: &Console) {
         let error = own.standard_error.map_or_else(
             || "the data cannot tell it alone".into(),
             |error| {
-                let part = 100.0 * error / own.value.abs();
-                format!("+- {} ({} %)", digits(error), digits(part))
+                let part = match own.value {
+                    0.0 => String::new(),
+                    value => format!(" ({} %)", digits(100.0 * error / value.abs())),
+                };
+                format!("+- {}{part}", digits(error))
             },
         );
         let bound = if own.at_bound { ", at its bound" } else { "" };
@@ -249,7 +258,9 @@ fn say_parameters(summary: &FitSummary, console: &Console) {
     if has_single && !summary.explanation.assumed.is_empty() {
         console.say("  these errors take loads, masses and times as exact:");
         for own in &summary.explanation.assumed {
-            console.say(&dependence(own, summary));
+            if let Some(words) = dependence(own, summary) {
+                console.say(&words);
+            }
         }
     }
     for own in &summary.undetermined {

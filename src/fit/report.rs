@@ -78,6 +78,8 @@ pub struct FitSummary {
     pub undetermined: Vec<Undetermined>,
     /// Markers that seem to be exchanged.
     pub exchanged: Vec<Exchanged>,
+    /// Fitted numbers that the scene of the result does not have, as sentences.
+    pub advice: Vec<String>,
     /// Shapes and recordings.
     pub cases: Vec<CaseSummary>,
     /// Result directory.
@@ -400,6 +402,7 @@ pub(super) fn summary(
         correlations: inverse.as_ref().map_or_else(Vec::new, correlations),
         undetermined,
         exchanged: seen.exchanged,
+        advice: Vec::new(),
         cases: seen.cases,
         directory: String::new(),
     };
