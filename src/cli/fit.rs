@@ -8,7 +8,7 @@ use super::console::Console;
 use super::error::CliError;
 use super::tradeoff::Applied;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
-use crate::fit::{Assumption, Explanation, FitError, FitOptions, FitSummary, fit};
+use crate::fit::{Assumption, Explanation, FitError, FitOptions, FitSummary, Left, Part, fit};
 use crate::output::quantity::{digits, quantity};
 use crate::output::replace::Writer;
 use crate::output::{ResultKind, RunDirectory, json_value, render_report, write_residuals};
@@ -303,6 +303,35 @@ fn say_parameters(summary: &FitSummary, console: &Console) {
     }
 }
 
+/// Prints where distances are left: by direction of the commands and by bending.
+fn say_left(left: &Left, console: &Console) {
+    let off = |part: &Part| (part.rms_m.or(part.held_out_rms_m)).map(|off| quantity(off, "m"));
+    let directions: Vec<String> = (left.by_direction.iter())
+        .filter_map(|part| Some(format!("{} {}", part.name.as_ref()?, off(part)?)))
+        .collect();
+    if !directions.is_empty() {
+        console.say(&format!(
+            "  where the sum of the commands is {}",
+            directions.join(", ")
+        ));
+    }
+    let bends: Vec<String> = (left.by_bend.iter())
+        .filter_map(|part| {
+            Some(format!(
+                "{} up to {} rad",
+                off(part)?,
+                digits(part.turn_rad?[1])
+            ))
+        })
+        .collect();
+    if !bends.is_empty() {
+        console.say(&format!(
+            "  by the turn of the arm, in thirds: {}",
+            bends.join(", ")
+        ));
+    }
+}
+
 /// Prints how far places and orientations are off.
 fn say_cases(summary: &FitSummary, console: &Console) {
     let known = |value: Option<f64>, unit: &str| {
@@ -347,6 +376,7 @@ fn say_cases(summary: &FitSummary, console: &Console) {
             ));
         }
     }
+    say_left(&summary.left, console);
     console.say(&format!(
         "places are off by {} in the root of the mean square, coordinates scatter by {}, and the noise was said to be {}",
         known(summary.rms_m, "m"),

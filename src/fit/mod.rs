@@ -7,6 +7,7 @@ mod explained;
 mod free;
 mod lag;
 mod least_squares;
+mod left;
 mod moving;
 mod report;
 mod resting;
@@ -26,6 +27,7 @@ use self::data::{Case, Marker, Sight};
 pub use self::explained::Explanation;
 use self::free::{Free, parameters, refuse_set};
 use self::least_squares::{Beside, Minimum, Problem, stacked};
+pub use self::left::{Left, Part};
 use self::moving::{Instant, fewest};
 pub use self::report::FitSummary;
 use self::resting::Remembered;
@@ -203,6 +205,8 @@ struct Pose {
     place: Vector3<f64>,
     /// Rotation from the frame of its section to space.
     section: Matrix3<f64>,
+    /// Turn of the arm: the sum of the angles between the tangents of neighboring nodes, rad.
+    turn_of_arm: f64,
 }
 
 impl Pose {
@@ -601,7 +605,12 @@ impl<'a> Model<'a> {
             }
         }
         let place = x + section * offset;
-        Pose { place, section }
+        let turn = |pair: &[Matrix3<f64>]| pair[0].column(2).angle(&pair[1].column(2));
+        Pose {
+            place,
+            section,
+            turn_of_arm: shape.rotations.windows(2).map(turn).sum(),
+        }
     }
 
     /// Returns the predictions of all cases.

@@ -23,6 +23,7 @@ impl Pose {
         Self {
             place: self.place + (to.place - self.place) * part,
             section: self.section * exp(&(turn * part)),
+            turn_of_arm: self.turn_of_arm + part * (to.turn_of_arm - self.turn_of_arm),
         }
     }
 }

@@ -5,10 +5,15 @@
 //! only count as well; an actuator begins in the middle of its play, `z = u`. (M. A. Krasnosel'skii and A. V. Pokrovskii, Systems with
 //! Hysteresis, 1989.)
 
+use std::collections::BTreeMap;
+
 use serde::Deserialize;
 
 use super::data::one;
 use crate::mpc::follow_with_play;
+
+/// Sums of commands that differ by less than this part are the same.
+const SAME: f64 = 1e-9;
 
 /// A column of commands.
 #[derive(Clone, Debug, Deserialize)]
@@ -53,6 +58,21 @@ impl Rows {
     pub fn row(&self, row: usize) -> &[f64] {
         let n = self.keys.len();
         &self.commands[self.places[row] * n..][..n]
+    }
+
+    /// Tells of every row whether the sum of its commands is more than in the row before it of the same group; `None` where it is the same, and
+    /// in the first row of a group.
+    pub fn rises(&self) -> Vec<Option<bool>> {
+        let mut before: BTreeMap<Option<&String>, f64> = BTreeMap::new();
+        (0..self.len())
+            .map(|row| {
+                let commands = self.row(row);
+                let sum: f64 = commands.iter().sum();
+                let size: f64 = commands.iter().map(|command| command.abs()).sum();
+                let last = before.insert(self.groups.get(row), sum)?;
+                ((sum - last).abs() > SAME * size.max(last.abs())).then_some(sum > last)
+            })
+            .collect()
     }
 
     /// Returns the values that act in all rows of the file, row by row: `given` changes the value of a key, and `play` has that of every key.
