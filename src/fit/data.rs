@@ -111,6 +111,16 @@ pub struct Table {
     /// Tells whether all rows are compared only.
     #[serde(default)]
     pub held_out: bool,
+    /// Directions in which tendons with friction have slid before they rest; those of the scene, if it is left out.
+    pub sliding: Option<SlidingOfRows>,
+}
+
+/// Directions in which tendons with friction have slid in the rows of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SlidingOfRows {
+    /// A tendon is pulled or released as its command has last changed in the order of the rows.
+    InOrder,
 }
 
 /// Three columns of the position of a marker.
@@ -434,6 +444,7 @@ impl Table {
             kind: Kind::Rows(Rows {
                 keys: self.inputs.values().map(|own| own.key.clone()).collect(),
                 play: self.inputs.values().map(|own| own.play).collect(),
+                slides_in_order: self.sliding == Some(SlidingOfRows::InOrder),
                 ..Rows::default()
             }),
             held_out,

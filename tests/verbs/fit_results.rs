@@ -347,3 +347,51 @@ fn what_is_left_is_told_by_direction_and_bend() {
         assert_eq!(part["places"], 3);
     }
 }
+
+/// Rows that were measured after pulls and after releases of a tendon with friction tell its coefficient, if the rows say so by their order; taken
+/// as pulled all together, they tell another one and are not explained. The arm without friction has no direction of sliding.
+#[test]
+fn friction_is_told_by_pulls_and_releases() {
+    let key = "tendon.0.pretension_n";
+    let scene = |friction: f64, sliding: &str| {
+        format!("{ARM}{TENSION}friction = {friction}\nsliding = \"{sliding}\"\n")
+    };
+    let desk = Desk::holding("");
+    let commands = [0.1, 0.4, 0.8, 0.5, 0.2, 0.6, 0.6, 0.3];
+    let ways = [
+        "pulled", "pulled", "pulled", "released", "released", "pulled", "pulled", "released",
+    ];
+    let seen: Vec<_> = (commands.iter().zip(ways))
+        .map(|(&u, way)| {
+            fs::write(desk.path("arm.toml"), scene(0.3, way)).unwrap();
+            (u, tip(&desk, key, u))
+        })
+        .collect();
+    fs::write(desk.path("rows.csv"), rows(&seen)).unwrap();
+    fs::write(desk.path("arm.toml"), scene(0.1, "pulled")).unwrap();
+    let fit = |more: &str| {
+        fs::write(desk.path("data.toml"), table(key, more)).unwrap();
+        desk.done("fit arm.toml --data data.toml --free tendon.0.friction,rod.material.youngs_modulus_pa --out fit")
+    };
+    let summary = fit("sliding = \"in-order\"\n");
+    for (index, truth) in [0.3, 1e5].into_iter().enumerate() {
+        let own = &summary["parameters"][index];
+        assert!(
+            (own["value"].as_f64().unwrap() / truth - 1.0).abs() < 1e-6,
+            "{own}"
+        );
+    }
+    assert!(summary["rms_m"].as_f64().unwrap() < 1e-8);
+    let summary = fit("");
+    assert!(summary["rms_m"].as_f64().unwrap() > 1e-3 && summary["explained"] == false);
+    fs::write(desk.path("arm.toml"), format!("{ARM}{TENSION}")).unwrap();
+    fs::write(
+        desk.path("data.toml"),
+        table(key, "sliding = \"in-order\"\n"),
+    )
+    .unwrap();
+    let (code, _, talk) =
+        desk.run("fit arm.toml --data data.toml --free rod.material.youngs_modulus_pa");
+    assert_eq!(code, USAGE);
+    assert!(talk.contains("none of this arm has any"), "{talk}");
+}
