@@ -96,7 +96,7 @@ impl Free {
                 None if !times.is_empty() => Some(1.0),
                 None if !plus.is_empty() => Some(0.0),
                 None if !play.is_empty() => Some(largest_play(cases, play)),
-                None if !lag.is_empty() => Some(LAG * longest(cases.iter())),
+                None if !lag.is_empty() => Some(LAG * longest(moves().map(|(_, case)| case))),
                 None => number(own, key),
             });
         let Some(start) = given else {

@@ -7,18 +7,21 @@ impl Model<'_> {
     /// Returns the inputs with lags of a recording, as `KEY=VALUE`, at the time nodes of an end and a step, s.
     pub(super) fn lagged(
         &self,
-        at: &[f64],
+        all: &[f64],
         table: &toml::Table,
         (end, step): (f64, f64),
     ) -> Vec<String> {
         let n = (end / step - 1e-9).ceil().max(1.0);
         let times: Vec<f64> = (0..=n as usize).map(|node| node as f64 * end / n).collect();
         let mut out = Vec::new();
-        for (own, at) in self.parameters.iter().zip(at) {
+        for (own, at) in self.parameters.iter().zip(all) {
             for path in &own.lag {
-                let Some(commands) = pairs(table, path) else {
+                let Some(mut commands) = pairs(table, path) else {
                     continue;
                 };
+                for (row, [_, command]) in commands.iter_mut().enumerate() {
+                    *command = self.given(all, &format!("{path}.{row}.1"), *command);
+                }
                 let values = follow_with_lag(&commands, at * own.scale, &times);
                 let rows: Vec<String> = (times.iter().zip(values))
                     .map(|(time, value)| format!("[{time:e},{value:e}]"))

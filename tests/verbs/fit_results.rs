@@ -187,8 +187,8 @@ fn zeros_in_tables_are_refused() {
     );
 }
 
-/// The lag of a tendon comes back from a recording of a motion whose tension was made by Euler steps of `τ u' = c - u`, beside the modulus; steps of
-/// the truth are a quarter of those of the fit, so that these are what is left.
+/// The lag of a tendon comes back from a recording of a motion whose tension was made by Euler steps of `τ u' = c - u`, beside the modulus. Steps of
+/// the motion are eight times as long as those of the fit, so that their error, of second order, is what is left.
 #[test]
 fn a_recording_gives_back_its_lag() {
     const LAG: f64 = 0.06;
