@@ -8,7 +8,7 @@ use super::console::Console;
 use super::error::CliError;
 use super::tradeoff::Applied;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
-use crate::fit::{Assumption, Explanation, FitError, FitOptions, FitSummary, fit};
+use crate::fit::{Assumption, Explanation, FitError, FitOptions, FitSummary, Left, Part, fit};
 use crate::output::quantity::{digits, quantity};
 use crate::output::replace::Writer;
 use crate::output::{ResultKind, RunDirectory, json_value, render_report, write_residuals};
@@ -108,6 +108,9 @@ pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) 
             "the scene with the fitted numbers: {}",
             place.path.display()
         ));
+        for words in &summary.advice {
+            console.warn(words);
+        }
     }
     Ok(match summary.status {
         "converged" => exit::DONE,
@@ -172,18 +175,21 @@ fn in_words(own: &Assumption) -> &'static str {
     }
 }
 
-/// Returns how the estimates follow a number that is taken as exact.
-fn dependence(own: &Assumption, summary: &FitSummary) -> String {
+/// Returns how the estimates follow a number that is taken as exact; `None` where all of them are 0.
+fn dependence(own: &Assumption, summary: &FitSummary) -> Option<String> {
     let (change, part) = match own.name {
         "clock" => ("late by 1 ms", 1e-3),
         _ => ("1 % larger", 1e-2),
     };
     let moves: Vec<String> = (summary.parameters.iter().zip(&own.moves))
         .filter(|(parameter, _)| parameter.list.is_none())
-        .map(|(parameter, moves)| format!("{} {:+.2} %", parameter.key, 100.0 * part * moves))
+        .filter_map(|(parameter, moves)| {
+            let percent = 100.0 * part * (*moves)?;
+            Some(format!("{} {percent:+.2} %", parameter.key))
+        })
         .collect();
     let words = in_words(own);
-    format!("  with {words} {change}: {}", moves.join(", "))
+    (!moves.is_empty()).then(|| format!("  with {words} {change}: {}", moves.join(", ")))
 }
 
 fn conclude(summary: &FitSummary, console: &Console) {
@@ -233,8 +239,11 @@ fn say_parameters(summary: &FitSummary, console: &Console) {
         let error = own.standard_error.map_or_else(
             || "the data cannot tell it alone".into(),
             |error| {
-                let part = 100.0 * error / own.value.abs();
-                format!("+- {} ({} %)", digits(error), digits(part))
+                let part = match own.value {
+                    0.0 => String::new(),
+                    value => format!(" ({} %)", digits(100.0 * error / value.abs())),
+                };
+                format!("+- {}{part}", digits(error))
             },
         );
         let bound = if own.at_bound { ", at its bound" } else { "" };
@@ -249,7 +258,9 @@ fn say_parameters(summary: &FitSummary, console: &Console) {
     if has_single && !summary.explanation.assumed.is_empty() {
         console.say("  these errors take loads, masses and times as exact:");
         for own in &summary.explanation.assumed {
-            console.say(&dependence(own, summary));
+            if let Some(words) = dependence(own, summary) {
+                console.say(&words);
+            }
         }
     }
     for own in &summary.undetermined {
@@ -289,6 +300,35 @@ fn say_parameters(summary: &FitSummary, console: &Console) {
                 ));
             }
         }
+    }
+}
+
+/// Prints where distances are left: by direction of the commands and by bending.
+fn say_left(left: &Left, console: &Console) {
+    let off = |part: &Part| (part.rms_m.or(part.held_out_rms_m)).map(|off| quantity(off, "m"));
+    let directions: Vec<String> = (left.by_direction.iter())
+        .filter_map(|part| Some(format!("{} {}", part.name.as_ref()?, off(part)?)))
+        .collect();
+    if !directions.is_empty() {
+        console.say(&format!(
+            "  where the sum of the commands is {}",
+            directions.join(", ")
+        ));
+    }
+    let bends: Vec<String> = (left.by_bend.iter())
+        .filter_map(|part| {
+            Some(format!(
+                "{} up to {} rad",
+                off(part)?,
+                digits(part.turn_rad?[1])
+            ))
+        })
+        .collect();
+    if !bends.is_empty() {
+        console.say(&format!(
+            "  by the turn of the arm, in thirds: {}",
+            bends.join(", ")
+        ));
     }
 }
 
@@ -336,6 +376,7 @@ fn say_cases(summary: &FitSummary, console: &Console) {
             ));
         }
     }
+    say_left(&summary.left, console);
     console.say(&format!(
         "places are off by {} in the root of the mean square, coordinates scatter by {}, and the noise was said to be {}",
         known(summary.rms_m, "m"),

@@ -42,8 +42,9 @@ const PAYLOAD: [&str; 1] = ["payload.mass_kg"];
 pub struct Assumption {
     /// `loads` (forces, moments and inputs of actuators), `mass` (of the arm), `payload` or `clock`.
     pub name: &'static str,
-    /// Change of every fitted number divided by its value, for a change of this one by its own value; of the clock, for a second.
-    pub moves: Vec<f64>,
+    /// Change of every fitted number divided by its value, for a change of this one by its own value; of the clock, for a second. Null for
+    /// a fitted number that is 0.
+    pub moves: Vec<Option<f64>>,
     /// Change of this number, divided by its value or in seconds, with which the model would explain the data best; null where the fitted
     /// numbers can take its part.
     pub better_by: Option<f64>,
@@ -120,7 +121,7 @@ impl Model<'_> {
             let left = &column - &found.jacobian * &taken;
             let size = left.dot(&weigh_one(&left));
             let moves = (taken.iter().zip(&found.at))
-                .map(|(part, at)| -part / at)
+                .map(|(part, &at)| (at != 0.0).then(|| -part / at))
                 .collect();
             let is_told = size > SAME * effect;
             let better_by = -left.dot(&weigh_one(&found.residuals)) / size;

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::rows::{InputColumn, Rows};
+use super::zeros::refuse_zeros;
 use crate::output::read_text;
 
 /// Largest file that is read, bytes.
@@ -110,6 +111,16 @@ pub struct Table {
     /// Tells whether all rows are compared only.
     #[serde(default)]
     pub held_out: bool,
+    /// Directions in which tendons with friction have slid before they rest; those of the scene, if it is left out.
+    pub sliding: Option<SlidingOfRows>,
+}
+
+/// Directions in which tendons with friction have slid in the rows of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SlidingOfRows {
+    /// A tendon is pulled or released as its command has last changed in the order of the rows.
+    InOrder,
 }
 
 /// Three columns of the position of a marker.
@@ -131,7 +142,7 @@ pub fn one() -> f64 {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Free {
-    /// Dotted path of a number of the scene, or of a marker, as `marker.tip.offset_m.2`; with `times`, `plus` or `play` the name of a number.
+    /// Dotted path of a number of the scene, or of a marker, as `marker.tip.offset_m.2`; with `times`, `plus`, `play` or `lag` the name of a number.
     pub key: String,
     /// Dotted paths of numbers to which it is added, in every case those that the case has.
     #[serde(default)]
@@ -142,6 +153,9 @@ pub(crate) struct Free {
     /// Keys that rows of tables set, of whose actuators it is the play.
     #[serde(default)]
     pub play: Vec<String>,
+    /// Keys of given inputs over time, as `tendon.0.profile`, of whose actuators it is the lag in recordings, s.
+    #[serde(default)]
+    pub lag: Vec<String>,
     /// Where the search begins; the value of the scene, or 1 of a factor, if it is left out.
     pub start: Option<f64>,
     /// Least value.
@@ -403,6 +417,11 @@ impl File<'_> {
             columns.command(&row, &mut cases)?;
             columns.add(&row, group, &mut cases[usize::from(is_apart)])?;
         }
+        for case in &cases {
+            let line = |row: f64| case.rows().map_or(0, |rows| rows.lines[row as usize]);
+            refuse_zeros(&case.sights, self.data.sigma_m)
+                .map_err(|(row, words)| at(&path, line(row), words))?;
+        }
         let unknown = (table.held_out_groups.iter()).find(|own| !apart.contains(*own));
         if let Some(group) = unknown {
             return Err(sheet.refused(format!("no row has the group {group:?} of held_out_groups")));
@@ -425,6 +444,7 @@ impl Table {
             kind: Kind::Rows(Rows {
                 keys: self.inputs.values().map(|own| own.key.clone()).collect(),
                 play: self.inputs.values().map(|own| own.play).collect(),
+                slides_in_order: self.sliding == Some(SlidingOfRows::InOrder),
                 ..Rows::default()
             }),
             held_out,
@@ -529,37 +549,6 @@ struct Columns {
 const MISSING: [&str; 5] = ["", "nan", "na", "null", "none"];
 /// Largest time of a recording, s, eleven days: later ones are those of a clock.
 const LATEST: f64 = 1e6;
-/// Exact zeros are a gap where the marker is at least this many standard deviations away before or after.
-const FAR: f64 = 20.0;
-
-/// Refuses zeros that a tracker writes for a marker that it does not see: rows with a position of exactly zero beside others of the same
-/// marker that are far away.
-fn refuse_zeros(markers: &[Columns], sights: &[Sight], sigma: f64) -> Result<(), (f64, String)> {
-    for own in markers {
-        let places = || {
-            (sights.iter())
-                .filter(|sight| sight.marker == own.marker)
-                .filter_map(|sight| Some((sight.time, sight.position?)))
-        };
-        let steps = || places().zip(places().skip(1));
-        let jumps = |(a, b): &(Vector3<f64>, Vector3<f64>)| {
-            (*a == Vector3::zeros()) != (*b == Vector3::zeros()) && (a - b).norm() > FAR * sigma
-        };
-        let first = steps().find(|((_, a), (_, b))| jumps(&(*a, *b)));
-        let Some(((before, a), (after, _))) = first else {
-            continue;
-        };
-        let n = places().filter(|(_, x)| *x == Vector3::zeros()).count();
-        let t = if a == Vector3::zeros() { before } else { after };
-        return Err((
-            t,
-            format!(
-                "{n} of its positions are exactly zero, and those beside them far from it: leave the cells of a gap empty"
-            ),
-        ));
-    }
-    Ok(())
-}
 
 /// Reads the table of a recording: what was seen, and the number of gaps.
 fn rows(
@@ -584,7 +573,7 @@ fn rows(
             }
         }
     }
-    refuse_zeros(&head.markers, &sights, sigma)
+    refuse_zeros(&sights, sigma)
         .map_err(|(t, words)| format!("{}, t_s = {t}: {words}", path.display()))?;
     Ok((sights, gaps))
 }

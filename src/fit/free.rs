@@ -1,8 +1,8 @@
-//! The numbers that are fitted: keys of the scene, factors and summands of keys, plays of actuators, offsets of markers, and clocks of recordings.
+//! The numbers that are fitted: keys of the scene, factors and summands of keys, plays and lags of actuators, offsets of markers, and clocks of recordings.
 
 use super::data::{self, Case, Data, Marker};
 use super::{FitError, FitOptions};
-use crate::scene::{number, numbers};
+use crate::scene::{number, numbers, pairs};
 
 /// A number that is fitted.
 pub(crate) struct Free {
@@ -15,6 +15,8 @@ pub(crate) struct Free {
     pub plus: Vec<String>,
     /// Keys of rows of whose actuators it is the play.
     pub play: Vec<String>,
+    /// Keys of given inputs over time of whose actuators it is the lag.
+    pub lag: Vec<String>,
     /// Marker and axis whose offset it is.
     pub marker: Option<(usize, usize)>,
     /// Recordings by whose clock it is.
@@ -40,10 +42,11 @@ impl Free {
         let times = described.map_or(&[][..], |free| &free.times);
         let plus = described.map_or(&[][..], |free| &free.plus);
         let play = described.map_or(&[][..], |free| &free.play);
-        let relations = [times, plus, play];
+        let lag = described.map_or(&[][..], |free| &free.lag);
+        let relations = [times, plus, play, lag];
         if relations.iter().filter(|own| !own.is_empty()).count() > 1 {
             return refuse(format!(
-                "{key} has more than one of times, plus and play: give a number for each"
+                "{key} has more than one of times, plus, play and lag: give a number for each"
             ));
         }
         let is_set = |path: &String| {
@@ -56,8 +59,21 @@ impl Free {
             ));
         }
         let lower = described.and_then(|free| free.lower).unwrap_or(0.0);
-        if !play.is_empty() && lower < 0.0 {
-            return refuse(format!("{key} has lower = {lower}: a play is at least 0"));
+        if !(play.is_empty() && lag.is_empty()) && lower < 0.0 {
+            let noun = if play.is_empty() { "lag" } else { "play" };
+            return refuse(format!("{key} has lower = {lower}: a {noun} is at least 0"));
+        }
+        let moves = || {
+            tables
+                .iter()
+                .zip(cases)
+                .filter(|(_, case)| case.is_motion())
+        };
+        let is_given = |path: &String| moves().any(|(table, _)| pairs(table, path).is_some());
+        if let Some(path) = lag.iter().find(|path| !is_given(path)) {
+            return refuse(format!(
+                "{path}, of which {key} is the lag, has no rows of time and input in any recording"
+            ));
         }
         for path in times.iter().chain(plus) {
             let mut tables = tables.iter().chain([own]);
@@ -80,6 +96,7 @@ impl Free {
                 None if !times.is_empty() => Some(1.0),
                 None if !plus.is_empty() => Some(0.0),
                 None if !play.is_empty() => Some(largest_play(cases, play)),
+                None if !lag.is_empty() => Some(LAG * longest(moves().map(|(_, case)| case))),
                 None => number(own, key),
             });
         let Some(start) = given else {
@@ -92,9 +109,10 @@ impl Free {
             && marker.is_none()
             && clock.is_empty()
             && plus.is_empty()
+            && lag.is_empty()
             && list.is_none();
         let bounds = [
-            part(|free| free.lower).unwrap_or(if !play.is_empty() {
+            part(|free| free.lower).unwrap_or(if !(play.is_empty() && lag.is_empty()) {
                 0.0
             } else if is_positive {
                 1e-3 * start
@@ -121,11 +139,15 @@ impl Free {
         let width = bounds[1] - bounds[0];
         let length = number(own, "rod.length_m").unwrap_or(1.0);
         let largest = |paths: &[String]| {
+            let in_scenes = |path: &String| {
+                let own = tables.iter().filter_map(|table| number(table, path));
+                own.fold(0.0, |most: f64, value| most.max(value.abs()))
+            };
             (paths.iter())
-                .map(|path| largest_input(cases, path))
+                .map(|path| largest_input(cases, path).max(in_scenes(path)))
                 .fold(0.0, f64::max)
         };
-        let of_rows = largest(plus).max(PLAY * largest(play));
+        let of_inputs = largest(plus).max(PLAY * largest(play));
         let scale = if marker.is_some() {
             start.abs().max(OFFSET * length)
         } else if !clock.is_empty() {
@@ -136,8 +158,8 @@ impl Free {
             sigma
         } else if start != 0.0 {
             start.abs()
-        } else if of_rows > 0.0 {
-            of_rows
+        } else if of_inputs > 0.0 {
+            of_inputs
         } else if let Some([_, sigma]) = prior {
             sigma
         } else if width.is_finite() {
@@ -151,6 +173,7 @@ impl Free {
             times: times.to_vec(),
             plus: plus.to_vec(),
             play: play.to_vec(),
+            lag: lag.to_vec(),
             marker,
             clock,
             start,
@@ -160,12 +183,17 @@ impl Free {
         })
     }
 
-    /// Returns the dotted paths of its key and of the numbers that it multiplies, to which it is added, or whose play it is.
+    /// Returns the dotted paths of its key and of the numbers that it multiplies, to which it is added, or whose play or lag it is.
     fn paths(&self) -> Vec<String> {
         let sums = self.plus.iter().map(|path| format!("{path} plus"));
         let plays = self.play.iter().map(|path| format!("{path} play"));
+        let lags = self.lag.iter().map(|path| format!("{path} lag"));
         let own = [&[self.key.clone()][..], &self.times].concat();
-        own.into_iter().chain(sums).chain(plays).collect()
+        own.into_iter()
+            .chain(sums)
+            .chain(plays)
+            .chain(lags)
+            .collect()
     }
 
     /// Returns the paths of the numbers that it multiplies, or to which it is added.
@@ -177,6 +205,7 @@ impl Free {
     pub fn is_key(&self) -> bool {
         self.related().next().is_none()
             && self.play.is_empty()
+            && self.lag.is_empty()
             && self.marker.is_none()
             && self.clock.is_empty()
     }
@@ -188,6 +217,9 @@ impl Free {
 
 /// Scale of a play in the search, as a part of the largest command.
 const PLAY: f64 = 1e-2;
+
+/// Start of a lag in the search, as a part of the longest recording.
+const LAG: f64 = 1e-2;
 
 /// Scale of an offset of a marker in the search, as a part of the length of the arm.
 const OFFSET: f64 = 1e-2;

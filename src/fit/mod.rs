@@ -5,11 +5,15 @@ mod assumed;
 mod data;
 mod explained;
 mod free;
+mod lag;
 mod least_squares;
+mod left;
 mod moving;
 mod report;
 mod resting;
 mod rows;
+mod written;
+mod zeros;
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -23,16 +27,18 @@ use self::data::{Case, Marker, Sight};
 pub use self::explained::Explanation;
 use self::free::{Free, parameters, refuse_set};
 use self::least_squares::{Beside, Minimum, Problem, stacked};
+pub use self::left::{Left, Part};
 use self::moving::{Instant, fewest};
 pub use self::report::FitSummary;
 use self::resting::Remembered;
+use self::written::Written;
 use crate::mechanics::equilibrium::static_equilibrium_until;
 use crate::mechanics::place::{locate, pose};
 use crate::mechanics::rotation::log;
 use crate::mechanics::threads::on_threads;
 use crate::mechanics::{Configuration, NodeSpring, NodeWrenches, Rod, Stepper, TimeScheme};
 use crate::output::{MotionRecord, ResidualRow};
-use crate::scene::{Scene, SceneError, SceneSource, number};
+use crate::scene::{Scene, SceneError, SceneSource, number, set_entry};
 use crate::stop::{Stop, StopSignal};
 use crate::task::{Arm, StartShape};
 
@@ -97,9 +103,13 @@ pub fn fit(
     stop: &StopSignal,
 ) -> Result<Fit, FitError> {
     let (data, cases) = data::read(path).map_err(FitError::Data)?;
-    let own = entries(source, &[])?;
+    let free: Vec<&String> = (options.free.iter())
+        .chain(data.free.iter().map(|free| &free.key))
+        .collect();
+    let plus: Vec<&String> = data.free.iter().flat_map(|free| &free.plus).collect();
+    let own = entries(source, &[], (&free, &plus))?;
     let tables: Vec<toml::Table> = (cases.iter())
-        .map(|case| entries(source, &case.set))
+        .map(|case| entries(source, &case.set, (&free, &plus)))
         .collect::<Result<_, _>>()?;
     let parameters = parameters(&own, (&tables, &cases), &data, options)?;
     refuse_set(&parameters, &cases)?;
@@ -130,14 +140,18 @@ pub fn fit(
         found = model.minimum(&found.at, &steps, &groups)?;
         found.iterations += iterations;
     }
-    let overrides = model.overrides(&found.at, &[], &own);
-    let (scene, fitted) = Scene::from_toml(&source.name, &source.text, &overrides)?;
+    let Written {
+        scene,
+        source: fitted,
+        advice,
+    } = model.written(&found.at, &own)?;
     let arm = scene.arm(&fitted)?;
     let rod = (arm.rod(&scene.discretization()))
         .map_err(|error| scene.discretize_error(&fitted, error.into()))?;
     let predicted = model.predicted(&found.at, &steps)?;
     let shapes = model.shapes(&found.at, &rod)?;
     let (mut summary, rows) = report::summary(&model, &found, &predicted, &steps)?;
+    summary.advice = advice;
     summary.wall_s = begun.elapsed().as_secs_f64();
     Ok(Fit {
         scene,
@@ -149,11 +163,31 @@ pub fn fit(
     })
 }
 
-/// Returns the entries of a resolved scene.
-fn entries(source: &SceneSource, set: &[String]) -> Result<toml::Table, FitError> {
+/// Returns the entries of a resolved scene, with those of some paths that are not written out because they are zero: of all to which
+/// numbers are added, and of free ones that may be negative, for which zero is a start.
+fn entries(
+    source: &SceneSource,
+    set: &[String],
+    (free, plus): (&[&String], &[&String]),
+) -> Result<toml::Table, FitError> {
     let overrides = [&source.overrides[..], set].concat();
     let (scene, _) = Scene::from_toml(&source.name, &source.text, &overrides)?;
-    toml::from_str(&scene.to_toml()).map_err(|error| FitError::Data(error.to_string()))
+    let mut out = toml::from_str(&scene.to_toml())
+        .map_err(|error: toml::de::Error| FitError::Data(error.to_string()))?;
+    for path in free.iter().chain(plus) {
+        if !path.contains('.') || number(&out, path).is_some() {
+            continue;
+        }
+        let with = |value: f64| {
+            let own = [&overrides[..], &[format!("{path}={value:e}")]].concat();
+            Scene::from_toml(&source.name, &source.text, &own).map(|(scene, _)| scene)
+        };
+        let is_zero = with(0.0).is_ok_and(|other| other == scene);
+        if is_zero && (plus.contains(path) || with(-f64::MIN_POSITIVE).is_ok()) {
+            set_entry(&mut out, &format!("{path}=0.0"))?;
+        }
+    }
+    Ok(out)
 }
 
 /// Standard deviations of the noise.
@@ -171,6 +205,8 @@ struct Pose {
     place: Vector3<f64>,
     /// Rotation from the frame of its section to space.
     section: Matrix3<f64>,
+    /// Turn of the arm: the sum of the angles between the tangents of neighboring nodes, rad.
+    turn_of_arm: f64,
 }
 
 impl Pose {
@@ -255,19 +291,26 @@ impl<'a> Model<'a> {
         self.cases.iter().filter(|case| !case.held_out)
     }
 
-    /// Returns the overrides of a case under parameters; `table` has the entries of its scene.
-    fn overrides(&self, at: &[f64], set: &[String], table: &toml::Table) -> Vec<String> {
+    /// Returns the overrides of a case under parameters, but for those of [`Self::changed`].
+    fn overrides(&self, at: &[f64], set: &[String]) -> Vec<String> {
         let own = self.source.overrides.iter().chain(set).cloned();
         let values = (self.parameters.iter().zip(at))
             .filter(|(own, _)| own.is_key() && own.list.is_none())
             .map(|(own, at)| format!("{}={:e}", own.key, at * own.scale));
-        let lists = self.lists(at);
+        own.chain(values).chain(self.lists(at)).collect()
+    }
+
+    /// Returns the numbers that factors and summands change, by their paths; `table` has the entries of the scene.
+    fn changed(&self, at: &[f64], table: &toml::Table) -> Vec<(String, String)> {
         let related = self.parameters.iter().flat_map(Free::related);
         let related: std::collections::BTreeSet<&String> = related.collect();
-        let changed = (related.into_iter())
+        (related.into_iter())
             .filter_map(|path| Some((path, number(table, path)?)))
-            .map(|(path, value)| format!("{path}={:e}", self.given(at, path, value)));
-        own.chain(values).chain(lists).chain(changed).collect()
+            .map(|(path, value)| {
+                let setter = format!("{path}={:e}", self.given(at, path, value));
+                (path.clone(), setter)
+            })
+            .collect()
     }
 
     /// Returns the overrides of lists that are fitted as a whole, whose entries follow each other.
@@ -424,7 +467,15 @@ impl<'a> Model<'a> {
         more: &[String],
     ) -> Result<(Scene, SceneSource), FitError> {
         let case = &self.cases[index];
-        let mut overrides = self.overrides(at, &case.set, &self.tables[index]);
+        let mut overrides = self.overrides(at, &case.set);
+        // The rows of a table have these numbers in the place of the scene.
+        let is_row = |path: &String| case.rows().is_some_and(|rows| rows.keys.contains(path));
+        let changed = self.changed(at, &self.tables[index]).into_iter();
+        overrides.extend(
+            changed
+                .filter(|(path, _)| !is_row(path))
+                .map(|(_, setter)| setter),
+        );
         overrides.extend_from_slice(more);
         if !case.is_motion() {
             overrides.push("initial.shape=\"equilibrium\"".into());
@@ -433,6 +484,7 @@ impl<'a> Model<'a> {
             let end = (last - self.clock(at, index)).max(last);
             overrides.push(format!("time.end_s={:e}", end.max(1e-9)));
             if let Some((step, scheme)) = step {
+                overrides.extend(self.lagged(at, &self.tables[index], (end, *step)));
                 overrides.push(format!("time.step_s={step:e}"));
                 overrides.push(format!("time.integrator=\"{scheme}\""));
             }
@@ -553,7 +605,12 @@ impl<'a> Model<'a> {
             }
         }
         let place = x + section * offset;
-        Pose { place, section }
+        let turn = |pair: &[Matrix3<f64>]| pair[0].column(2).angle(&pair[1].column(2));
+        Pose {
+            place,
+            section,
+            turn_of_arm: shape.rotations.windows(2).map(turn).sum(),
+        }
     }
 
     /// Returns the predictions of all cases.

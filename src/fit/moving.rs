@@ -23,6 +23,7 @@ impl Pose {
         Self {
             place: self.place + (to.place - self.place) * part,
             section: self.section * exp(&(turn * part)),
+            turn_of_arm: self.turn_of_arm + part * (to.turn_of_arm - self.turn_of_arm),
         }
     }
 }
@@ -146,12 +147,13 @@ impl Model<'_> {
         fewest: Fewest,
     ) -> Result<Swept, FitError> {
         let here = self.simulation(at, (index, steps))?;
-        // Clocks move the end of a motion, and its time nodes with it.
+        // Clocks move the end of a motion, and its time nodes with it; lags change the inputs over time.
         let mut is_alone: Vec<bool> = (self.parameters.iter())
             .map(|own| own.marker.is_none() && own.play.is_empty())
             .collect();
         let of_arm: Vec<usize> = (0..is_alone.len())
             .filter(|&j| is_alone[j] && self.parameters[j].clock.is_empty())
+            .filter(|&j| self.parameters[j].lag.is_empty())
             .collect();
         let mut along = Vec::new();
         if of_arm.len() >= fewest(here.rod.scheme) {
@@ -401,9 +403,9 @@ times = [\"tendon.0.pretension_n\"]
         };
         let stop = StopSignal::default();
         let (data, cases) = data::read(&path).expect("data");
-        let own = entries(&source, &[]).expect("a scene");
+        let own = entries(&source, &[], (&[], &[])).expect("a scene");
         let tables: Vec<toml::Table> = (cases.iter())
-            .map(|case| entries(&source, &case.set).expect("a scene"))
+            .map(|case| entries(&source, &case.set, (&[], &[])).expect("a scene"))
             .collect();
         let parameters =
             free::parameters(&own, (&tables, &cases), &data, &options).expect("numbers");

@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::data::{Case, Sight};
 use super::explained::{Explanation, explanation};
 use super::least_squares::{Minimum, weigh};
+use super::left::Left;
 use super::{FitError, Model, Pose, Steps};
 use crate::TOOL;
 use crate::output::ResidualRow;
@@ -78,6 +79,11 @@ pub struct FitSummary {
     pub undetermined: Vec<Undetermined>,
     /// Markers that seem to be exchanged.
     pub exchanged: Vec<Exchanged>,
+    /// Fitted numbers that the scene of the result does not have, as sentences.
+    pub advice: Vec<String>,
+    /// Distances by marker, direction of the commands, and bending.
+    #[serde(flatten)]
+    pub left: Left,
     /// Shapes and recordings.
     pub cases: Vec<CaseSummary>,
     /// Result directory.
@@ -400,6 +406,8 @@ pub(super) fn summary(
         correlations: inverse.as_ref().map_or_else(Vec::new, correlations),
         undetermined,
         exchanged: seen.exchanged,
+        advice: Vec::new(),
+        left: Left::of(model, predicted),
         cases: seen.cases,
         directory: String::new(),
     };

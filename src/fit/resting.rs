@@ -12,7 +12,7 @@ use super::rows::Rows;
 use super::{FitError, Model, Pose};
 use crate::mechanics::at_rest::{self, OfRow, shape_near};
 use crate::mechanics::equilibrium::EquilibriumError;
-use crate::mechanics::{Configuration, Rod};
+use crate::mechanics::{Configuration, Rod, RodError};
 
 /// Change of an input by which its actuator is found, as a part of the largest one.
 const PROBE: f64 = 0.5;
@@ -23,6 +23,10 @@ pub struct Remembered {
     /// Index among the actuators of the rod of every key.
     actuators: Vec<usize>,
     shapes: Vec<Mutex<Option<Configuration>>>,
+    /// Directions in which the actuators with friction have slid, as far as they are not those of the scene: those that rows have.
+    slid: Vec<Vec<(usize, f64)>>,
+    /// Index of its directions of every row.
+    slid_of_row: Vec<usize>,
 }
 
 /// A table under parameters.
@@ -34,7 +38,8 @@ struct Resting<'a> {
     at: &'a [f64],
     /// Values of the keys that act in every row of the file.
     acting: Vec<f64>,
-    rod: Rod,
+    /// The rod for every set of directions of sliding.
+    rods: Vec<Rod>,
     /// Factor on all loads and inputs.
     loads: f64,
 }
@@ -89,10 +94,47 @@ impl Model<'_> {
                 }
             }
         }
+        let (slid, slid_of_row) = if rows.slides_in_order {
+            slid(rows, &actuators, &rod)
+        } else {
+            (vec![Vec::new()], vec![0; rows.len()])
+        };
+        if rows.slides_in_order && !rod.actuators.has_friction() {
+            return refuse(format!(
+                "{name}: sliding = \"in-order\" is for tendons with friction, and none of this arm has any"
+            ));
+        }
         Ok(Remembered {
             actuators,
             shapes: (0..rows.len()).map(|_| Mutex::new(None)).collect(),
+            slid,
+            slid_of_row,
         })
+    }
+
+    /// Returns the rods of a case at rest under parameters, for every set of directions in which actuators have slid.
+    fn rods_at_rest(
+        &self,
+        at: &[f64],
+        case: usize,
+        more: &[String],
+        slid: &[Vec<(usize, f64)>],
+    ) -> Result<Vec<Rod>, FitError> {
+        let (scene, source) = self.scene(at, case, None, more)?;
+        let arm = scene.arm(&source)?;
+        let discretization = scene.discretization();
+        let rod = |directions: &Vec<(usize, f64)>| {
+            let mut arm = arm.clone();
+            for &(actuator, direction) in directions {
+                let own = arm.actuators.get_mut(actuator);
+                if let Some(friction) = own.and_then(|own| own.friction.as_mut()) {
+                    friction.at_rest = direction;
+                }
+            }
+            let refused = |error: RodError| scene.discretize_error(&source, error.into());
+            Ok(arm.rod(&discretization).map_err(refused)?)
+        };
+        slid.iter().map(rod).collect()
     }
 
     /// Returns the rod of a case at rest under parameters.
@@ -139,8 +181,10 @@ impl Model<'_> {
         let Some((rows, remembered)) = self.cases[case].rows().zip(remembered) else {
             return Err(FitError::Data("no table".into()));
         };
-        let mut rod = self.rod_at_rest(at, case, more)?;
-        rod.multiply_loads(loads);
+        let mut rods = self.rods_at_rest(at, case, more, &remembered.slid)?;
+        for rod in &mut rods {
+            rod.multiply_loads(loads);
+        }
         let own = rows.keys.iter().zip(&rows.play);
         let play: Vec<f64> = own.map(|(key, own)| self.play(at, key, *own)).collect();
         Ok(Resting {
@@ -150,7 +194,7 @@ impl Model<'_> {
             remembered,
             at,
             acting: rows.acting(&|key, value| self.given(at, key, value), &play),
-            rod,
+            rods,
             loads,
         })
     }
@@ -182,6 +226,32 @@ impl Model<'_> {
     }
 }
 
+/// Returns the sets of directions, 1 for pulled, in which the strain actuators of some rows have slid, and the index of every row among them: an
+/// actuator of a winch is pulled where its command falls. Those whose command has not changed yet are left out.
+fn slid(rows: &Rows, actuators: &[usize], rod: &Rod) -> (Vec<Vec<(usize, f64)>>, Vec<usize>) {
+    let pulls = |actuator: usize| match rod.actuators.iter().nth(actuator) {
+        Some(drive) if drive.winch.is_some() => -1.0,
+        _ => 1.0,
+    };
+    let signs: Vec<f64> = actuators.iter().map(|&own| pulls(own)).collect();
+    let mut sets: Vec<Vec<i8>> = Vec::new();
+    let mut of_row = Vec::new();
+    for directions in rows.directions() {
+        let known = sets.iter().position(|own| *own == directions);
+        of_row.push(known.unwrap_or(sets.len()));
+        if known.is_none() {
+            sets.push(directions);
+        }
+    }
+    let of_set = |set: &Vec<i8>| {
+        let all = actuators.iter().zip(&signs).zip(set);
+        all.filter(|(_, way)| **way != 0)
+            .map(|((&actuator, sign), way)| (actuator, sign * f64::from(*way)))
+            .collect()
+    };
+    (sets.iter().map(of_set).collect(), of_row)
+}
+
 impl Resting<'_> {
     /// Returns a complaint about a row.
     fn refused(&self, row: usize, words: impl std::fmt::Display) -> FitError {
@@ -201,13 +271,14 @@ impl Resting<'_> {
 
     /// Returns the rod under the commands of a row.
     fn commanded(&self, row: usize) -> Rod {
-        let mut efforts = self.rod.actuators.efforts(0.0);
+        let rod = &self.rods[self.remembered.slid_of_row[row]];
+        let mut efforts = rod.actuators.efforts(0.0);
         let actuators = &self.remembered.actuators;
         let acting = &self.acting[self.rows.places[row] * actuators.len()..];
         for (&actuator, &value) in actuators.iter().zip(acting) {
             efforts[actuator] = self.loads * value;
         }
-        self.rod.with_inputs(&efforts)
+        rod.with_inputs(&efforts)
     }
 
     /// Returns the rod under the commands of a row, and its shape at rest: that next to the one that is remembered, or else next to a shape

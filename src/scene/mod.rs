@@ -56,7 +56,7 @@ pub(crate) use file::LARGEST_SCENE;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::*;
 pub use moving::{ArmNumbers, MovingArm};
-pub(crate) use overrides::{number, numbers};
+pub(crate) use overrides::{number, numbers, pairs, set_entry};
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};
 pub use values::{Fraction, NonNegative, PoissonRatio, Positive};

@@ -127,6 +127,11 @@ fn index(segment: &str) -> Option<usize> {
         .flatten()
 }
 
+/// Sets an entry of a scene by `KEY=VALUE`.
+pub(crate) fn set_entry(table: &mut Table, text: &str) -> Result<(), SceneError> {
+    Override::parse(text)?.apply(table)
+}
+
 /// Returns the number at a dotted path.
 pub(crate) fn number(table: &Table, key: &str) -> Option<f64> {
     as_number(value_at(table, key)?)
@@ -136,6 +141,17 @@ pub(crate) fn number(table: &Table, key: &str) -> Option<f64> {
 pub(crate) fn numbers(table: &Table, key: &str) -> Option<Vec<f64>> {
     let list = value_at(table, key)?.as_array()?;
     let found: Option<Vec<f64>> = list.iter().map(as_number).collect();
+    found.filter(|found| !found.is_empty())
+}
+
+/// Returns the rows of two numbers at a dotted path of a scene, as those of a profile; `None` if there are none.
+pub(crate) fn pairs(table: &Table, key: &str) -> Option<Vec<[f64; 2]>> {
+    let list = value_at(table, key)?.as_array()?;
+    let pair = |row: &Value| match row.as_array()?.as_slice() {
+        [first, second] => Some([as_number(first)?, as_number(second)?]),
+        _ => None,
+    };
+    let found: Option<Vec<[f64; 2]>> = list.iter().map(pair).collect();
     found.filter(|found| !found.is_empty())
 }
 

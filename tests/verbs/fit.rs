@@ -1413,7 +1413,7 @@ fn unfit_tables_are_refused() {
                 "{key}\n[[free]]\nkey = \"both\"\nplay = [\"tendon.0.rest_displacement_m\"]\nplus = [\"tendon.0.rest_displacement_m\"]"
             ),
             "",
-            "both has more than one of times, plus and play",
+            "both has more than one of times, plus, play and lag",
         ),
     ] {
         if let Some(rows) = rows {

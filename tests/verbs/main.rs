@@ -14,6 +14,7 @@ mod doubt;
 mod export;
 mod files;
 mod fit;
+mod fit_results;
 mod fluid;
 mod friction;
 mod hardware;
