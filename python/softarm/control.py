@@ -309,6 +309,11 @@ class Plant:
         return dict(zip(self._native.actuators, self._native.units))
 
     @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Least and largest effort that `step` takes, by name, in the unit of `units`; infinite where there is no bound."""
+        return {name: (least, most) for name, (least, most) in zip(self._native.actuators, self._native.bounds.tolist())}
+
+    @property
     def efforts(self) -> dict[str, float]:
         """The efforts that act now, by name: tensions in N, also of tendons on winches, pressures in Pa, activations, fields in T and T/m."""
         return dict(zip(self._native.actuators, self._native.efforts.tolist()))
@@ -353,6 +358,9 @@ class Plant:
         actuators, each in its unit (`units`): N, Pa, T, T/m, an activation, and for a winch its displacement in m, negative where it pulls
         in; without them those of the scene act. They are constant, or go linearly to `wrenches_to` and
         `efforts_to`.
+
+        An effort beyond the `bounds` of its actuator by more than rounding (a millionth) raises `ValueError`; without bounds that is the push of
+        a tendon or a cable. The effort of an actuator that follows another one is the one by that relation, or NaN, which stands for it.
         """
         given = {"wrenches": wrenches, "efforts": efforts, "wrenches_to": wrenches_to, "efforts_to": efforts_to}
         for name, values in given.items():

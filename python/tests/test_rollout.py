@@ -2,6 +2,7 @@
 
 import pickle
 import runpy
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -235,3 +236,14 @@ def test_an_arm_is_designed(capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", ["codesign.py"])
     program["main"]()
     assert "20 of 20 shapes are stable" in (said := capsys.readouterr().out) and "certified" in said
+
+
+def test_a_rollout_says_once_that_efforts_are_beyond_bounds():
+    """The motion is that of the efforts as they are, so that a descent may pass beyond bounds."""
+    rollout = scene().rollout(0.02)
+    with pytest.warns(UserWarning, match=r'row 3: "front" has -0.2 N, and cannot push'):
+        pushed = rollout(np.where(np.arange(10)[:, None] == [[9, 3]], -0.2, efforts()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not np.array_equal(rollout(np.full((10, 2), -0.1)).x, pushed.x)
+        scene().rollout(0.02)(efforts())

@@ -4,6 +4,7 @@ mod describing;
 mod effort;
 mod friction;
 mod line;
+mod range;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,7 @@ pub use self::effort::{FollowKeys, RateBound};
 pub use self::friction::Sliding;
 use self::friction::{default_sliding, is_default_sliding};
 pub use self::line::Offset;
+pub use self::range::{InputError, InputRange, InputRanges};
 use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Fraction, NonNegative, Positive, digits, known};
 use super::Scene;
