@@ -114,7 +114,7 @@ impl Keys<'_> {
         );
         Err((self.source)
             .error_at(&format!("tendon.{index}.disk_spacing_m"), message, None)
-            .expecting(&format!(
+            .expecting(format!(
                 "expected at most {} m, from `from` to `to` of the tendon",
                 digits(along)
             )))
