@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from . import _softarm
+
+if TYPE_CHECKING:
+    from .rollout import Motion, Rollout
+    from .scene import Scene
 
 
 class State(NamedTuple):
@@ -174,6 +178,7 @@ class Controller:
         self._places = [node["place"] for node in self.greeting["nodes"]]
         self._names = [own["name"] for own in self.greeting["controls"]]
         self._sent: list[Command] = []
+        self._rollouts: dict[Any, Rollout] = {}
 
     @property
     def period(self) -> float:
@@ -274,8 +279,8 @@ class Controller:
 class Plant:
     """A simulated arm that a program moves, step by step."""
 
-    def __init__(self, native: _softarm.Plant):
-        self._native = native
+    def __init__(self, native: _softarm.Plant, scene: Scene | None = None):
+        self._native, self._scene = native, scene
         self._sent: list[Command] = []
 
     @property
@@ -309,6 +314,11 @@ class Plant:
         return dict(zip(self._native.actuators, self._native.units))
 
     @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Least and largest effort that `step` takes, by name, in the unit of `units`; infinite where there is no bound."""
+        return {name: (least, most) for name, (least, most) in zip(self._native.actuators, self._native.bounds.tolist())}
+
+    @property
     def efforts(self) -> dict[str, float]:
         """The efforts that act now, by name: tensions in N, also of tendons on winches, pressures in Pa, activations, fields in T and T/m."""
         return dict(zip(self._native.actuators, self._native.efforts.tolist()))
@@ -338,6 +348,7 @@ class Plant:
         """Kinetic, elastic and potential energy, J."""
         return dict(zip(("kinetic", "elastic", "potential"), self._native.energy))
 
+    @overload
     def step(
         self,
         dt: float,
@@ -346,19 +357,73 @@ class Plant:
         *,
         wrenches_to: npt.ArrayLike | None = None,
         efforts_to: npt.ArrayLike | None = None,
-    ) -> State:
+        derivative: Literal[False] = False,
+    ) -> State: ...
+
+    @overload
+    def step(
+        self,
+        dt: float,
+        wrenches: npt.ArrayLike | None = None,
+        efforts: npt.ArrayLike | None = None,
+        *,
+        wrenches_to: npt.ArrayLike | None = None,
+        efforts_to: npt.ArrayLike | None = None,
+        derivative: Literal[True] | Sequence[str],
+    ) -> Motion: ...
+
+    def step(
+        self,
+        dt: float,
+        wrenches: npt.ArrayLike | None = None,
+        efforts: npt.ArrayLike | None = None,
+        *,
+        wrenches_to: npt.ArrayLike | None = None,
+        efforts_to: npt.ArrayLike | None = None,
+        derivative: bool | Sequence[str] = False,
+    ) -> State | Motion:
         """Moves the arm by `dt` seconds and returns its state.
 
         `wrenches` (K+1, 6) act on the nodes: force in N, spatial, and moment in N m, in the frame of the node; `efforts` (m,) are those of the
         actuators, each in its unit (`units`): N, Pa, T, T/m, an activation, and for a winch its displacement in m, negative where it pulls
         in; without them those of the scene act. They are constant, or go linearly to `wrenches_to` and
         `efforts_to`.
+
+        An effort beyond the `bounds` of its actuator by more than rounding (a millionth) raises `ValueError`; without bounds that is the push of
+        a tendon or a cable. The effort of an actuator that follows another one is the one by that relation, or NaN, which stands for it.
         """
         given = {"wrenches": wrenches, "efforts": efforts, "wrenches_to": wrenches_to, "efforts_to": efforts_to}
         for name, values in given.items():
             real(name, values)
+        if derivative is False:
+            self._native.step(dt, wrenches, efforts, wrenches_to, efforts_to)
+            return self.state
+        motion = self._motion(dt, [wrenches, wrenches_to], [efforts, efforts_to], () if derivative is True else tuple(derivative))
         self._native.step(dt, wrenches, efforts, wrenches_to, efforts_to)
-        return self.state
+        if np.abs(motion.x[-1] - self.state.x).max() > 1e-9 * np.abs(motion.x).max():
+            raise ValueError("the arm has loads that change with time, or a memory, which the derivative of a step does not know")
+        return motion
+
+    def _motion(self, dt: float, wrenches: list[Any], efforts: list[Any], numbers: tuple[str, ...]) -> Motion:
+        """Returns the motion of a step as that of a rollout."""
+        from .rollout import Rollout
+
+        if self._scene is None:
+            raise ValueError("a plant without its scene has no derivative: make it by Scene.plant()")
+        linear = wrenches[1] is not None or efforts[1] is not None
+        key = (dt, linear, numbers)
+        if key not in self._rollouts:
+            self._rollouts = {key: Rollout(self._scene, dt, numbers, linear=linear, nodes=range(len(self.places)))}
+
+        def rows(pair: list[Any]) -> np.ndarray | None:
+            if pair[0] is None:
+                return None
+            own = [np.asarray(pair[0], float), np.asarray(pair[0] if pair[1] is None else pair[1], float)]
+            if not all(np.isfinite(part).all() for part in own):
+                raise ValueError("the derivative of a step needs every effort as a number")
+            return np.stack(own if linear else own[:1])
+
+        return self._rollouts[key](rows(efforts), wrenches=rows(wrenches), start=self.state, intervals=1)
 
     def apply(self, command: Command) -> State:
         """Sends a command of a controller, and moves the arm to the time of the controller's next sample.
@@ -411,7 +476,7 @@ class Plant:
 
     def copy(self) -> Plant:
         """Returns another arm in the same state."""
-        other = Plant(self._native.copy())
+        other = Plant(self._native.copy(), self._scene)
         other._sent = list(self._sent)
         return other
 

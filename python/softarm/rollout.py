@@ -4,6 +4,7 @@ numbers of the arm. With PyTorch and JAX they are functions like any other of th
 from __future__ import annotations
 
 import functools
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -102,6 +103,7 @@ class Rollout:
     ):
         self.scene, self.dt, self.numbers, self.linear = scene, float(dt), tuple(numbers), linear
         self.nodes = tuple(nodes)
+        self._has_warned = False
         overrides = list(scene._overrides)
         self._native = _softarm.Rollout(
             scene._name, scene._text, overrides, self.dt, list(self.numbers), linear, list(self.nodes)
@@ -138,7 +140,8 @@ class Rollout:
         without both there are so many `intervals`.
 
         `values` are those of the numbers, `(p,)`, and `start` is a state in place of that of the scene. Each of these may have an axis of a batch
-        first. A motion that has no next step raises `ModelError`.
+        first. A motion that has no next step raises `ModelError`. Efforts beyond bounds act as they are, so that a descent may pass there: a warning
+        says so once.
         """
         own = None if efforts is None else np.asarray(efforts, float)
         pulls = None if wrenches is None else np.asarray(wrenches, float)
@@ -166,6 +169,10 @@ class Rollout:
         native = self._native.run(
             batch, n_rows, spread(own, 2), spread(pulls, 3), spread(numbers, 1), begun, threads
         )
+        if own is not None and not self._has_warned and (beyond := self._native.beyond(own)):
+            self._has_warned = True
+            words = f"efforts beyond bounds, which a plant refuses and a rollout takes as they are: {beyond}; clip them where they matter"
+            warnings.warn(words, stacklevel=2)
         return Motion(native, is_batch)
 
     def to_torch(self) -> Callable[..., tuple[Any, Any, Any, Any]]:

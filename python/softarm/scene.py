@@ -329,7 +329,7 @@ class Scene:
     @property
     def inputs(self) -> list[tuple[str, str]]:
         """Names and units of the inputs of `shapes`: the efforts of all actuators along the arm, of winches displacements in m."""
-        return _softarm.inputs(self._name, self._text, list(self._overrides))
+        return [(name, unit) for name, unit, _ in _softarm.inputs(self._name, self._text, list(self._overrides))]
 
     def shapes(
         self,
@@ -342,19 +342,21 @@ class Scene:
         threads: int | None = None,
     ) -> Shapes:
         """Computes the arm at rest under each of `n` rows of inputs, `(n, m)`, or a dictionary of columns by the names of actuators, whose
-        others are zero; without inputs they are those of the scene. `changes` has columns of numbers by the keys of the scene that they
+        others are zero, or what follows from that of another one; without inputs they are those of the scene. An input beyond the bounds of its
+        actuator is refused, as by `Plant.step`. `changes` has columns of numbers by the keys of the scene that they
         change from row to row: loads, moduli, places. Rows that change little from one to the next are fast, because every search begins at the shape of the row before.
 
         With `jacobian` the derivatives of the tip's position along the inputs are computed too, with `gradient` those of all nodes along numbers
         by their keys (moduli, places of tendons, loads, the base), and with `stability` whether the shapes are stable. A row without a shape at rest raises `ModelError`.
         """
         if isinstance(inputs, Mapping):
-            names = [name for name, _ in self.inputs]
+            known = _softarm.inputs(self._name, self._text, list(self._overrides))
+            names = [name for name, _, _ in known]
             unknown = [name for name in inputs if name not in names]
             if unknown:
                 raise ValueError(f"there is no actuator {unknown[0]!r}; those of the arm are {names}")
             columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(column, float)) for column in inputs.values()))
-            rows = np.zeros((len(columns[0]) if columns else 1, len(names)))
+            rows = np.tile([np.nan if follows else 0.0 for _, _, follows in known], (len(columns[0]) if columns else 1, 1))
             for name, column in zip(inputs, columns, strict=True):
                 rows[:, names.index(name)] = column
             inputs = rows
@@ -426,7 +428,7 @@ class Scene:
 
     def plant(self) -> Plant:
         """Returns the simulated arm: of `[plant]` in a scene with a closed loop, else of `[rod]`."""
-        return Plant(_softarm.Plant(self._name, self._text, list(self._overrides)))
+        return Plant(_softarm.Plant(self._name, self._text, list(self._overrides)), self)
 
 
 def _with_columns(data: Mapping[str, Any]) -> dict[str, Any]:

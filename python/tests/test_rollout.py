@@ -2,6 +2,7 @@
 
 import pickle
 import runpy
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -236,6 +237,31 @@ def test_torch_and_jax_have_the_same_derivatives():
     assert np.allclose(mapped, slopes[0], rtol=1e-12)
 
 
+def test_a_step_of_a_plant_has_derivatives():
+    """They are those of the rollout of one interval, along the state before too; the plant moves as without."""
+    arm, own = scene(), efforts()
+    key = KEYS[0]
+    plants = [arm.plant() for _ in range(2)]
+    for plant in plants:
+        plant.step(0.03, None, own[0])
+    motion = plants[0].step(0.02, None, own[1], efforts_to=own[2], derivative=[key])
+    assert np.array_equal(plants[1].step(0.02, None, own[1], efforts_to=own[2]).x, plants[0].state.x)
+    assert np.abs(motion.end.x - plants[0].state.x).max() < 1e-12
+    found = motion.gradient(tip=[[0.0] * 3, [1.0, -2.0, 0.5]])
+
+    def tip(change):
+        changed = arm.replace({key: arm[key] + change}).plant()
+        state = before.state
+        changed.set_state(state.x, state.R, state.v, state.w)
+        return changed.step(0.02, None, own[1], efforts_to=own[2]).x[-1] @ [1.0, -2.0, 0.5]
+
+    before = arm.plant()
+    before.step(0.03, None, own[0])
+    width = 1e-4 * arm[key]
+    assert found.values[0] == pytest.approx((tip(width) - tip(-width)) / (2 * width), rel=1e-5)
+    assert found.efforts.shape == (2, len(arm.inputs)) and np.abs(found.start.v).max() > 0.0
+
+
 def test_second_derivatives_of_motions_are_refused():
     torch = pytest.importorskip("torch")
     function = scene().rollout(0.02).to_torch()
@@ -259,3 +285,14 @@ def test_an_arm_is_designed(capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", ["codesign.py"])
     program["main"]()
     assert "20 of 20 shapes are stable" in (said := capsys.readouterr().out) and "certified" in said
+
+
+def test_a_rollout_says_once_that_efforts_are_beyond_bounds():
+    """The motion is that of the efforts as they are, so that a descent may pass beyond bounds."""
+    rollout = scene().rollout(0.02)
+    with pytest.warns(UserWarning, match=r'row 3: "front" has -0.2 N, and cannot push'):
+        pushed = rollout(np.where(np.arange(10)[:, None] == [[9, 3]], -0.2, efforts()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not np.array_equal(rollout(np.full((10, 2), -0.1)).x, pushed.x)
+        scene().rollout(0.02)(efforts())

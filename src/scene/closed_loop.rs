@@ -18,6 +18,9 @@ use crate::mpc::{
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, StartError, Task};
 
+/// Displacement of a winch, in lengths of the arm, from which on a slack tendon is worth a word, a choice.
+const WORTH_TAKING_UP: f64 = 1e-3;
+
 /// A closed loop that a scene describes.
 #[derive(Clone, Debug)]
 pub struct ClosedLoopSetup {
@@ -209,6 +212,7 @@ impl Scene {
         let mut warnings = self.concerns(due, duration);
         warnings.extend(self.sharp_sensors(&sensors, &model));
         warnings.extend(seldom_asked(&task, asked.step, period));
+        warnings.extend(self.slack_winches(&found.rod, &found.initial));
         let task = Task {
             keeps_taut: self.control.as_ref().is_none_or(|own| own.keep_taut),
             ..if due.is_some() { task } else { passing }
@@ -334,6 +338,33 @@ impl Scene {
             Some((key, _, message, help)) => Err(source.error_at(key, message, Some(help.into()))),
             None => Ok(mpc),
         }
+    }
+
+    /// Returns a warning about tendons on winches, driven by the controller, that are slack at the start, and by how much.
+    fn slack_winches(&self, rod: &Rod, initial: &State) -> Option<String> {
+        let state = rod.effort_state(initial.configuration.poses());
+        let inputs = rod.actuators.efforts(0.0);
+        let controls = self.effort_controls();
+        let slack = rod.actuators.iter().enumerate().filter_map(|(i, own)| {
+            controls.iter().find(|control| control.actuator == i)?;
+            let by = (rod.actuators).too_long(i, 0.0, inputs[i], state.coordinates[i])?;
+            let far = by > WORTH_TAKING_UP * rod.scales.length;
+            far.then(|| format!("\"{}\" by {:.2} mm", own.name, 1e3 * by))
+        });
+        let slack: Vec<String> = slack.collect();
+        let keeps_taut = self.control.as_ref().is_none_or(|own| own.keep_taut);
+        let what = if keeps_taut {
+            "the plan takes that up first, as far as effort has a price; a smaller rest_displacement_m begins taut"
+        } else {
+            "a slack tendon does not feel its winch, so that no plan may move the arm: a smaller rest_displacement_m begins taut, and \
+             control.keep_taut = true takes up what is slack"
+        };
+        (!slack.is_empty()).then(|| {
+            format!(
+                "tendons are slack at the start, which their winches have to take up: {}; {what}",
+                slack.join(", ")
+            )
+        })
     }
 
     /// Returns warnings about keys without effect, and about a loop that goes on after its task.

@@ -99,7 +99,7 @@ pub(crate) struct ActuatorAtRest {
     pub name: String,
     /// Effort, in its unit; zero for a slack tendon. Of a tendon with friction it is the tension where it leaves its motor.
     pub effort: f64,
-    /// Tension where a tendon with friction ends, N.
+    /// Tension where a tendon with friction ends, N, at the end of its last element.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub end_effort: Option<f64>,
     /// Coordinate less that of the stress-free shape.
@@ -335,10 +335,25 @@ fn actuators_at_rest(rod: &Rod, shape: &Configuration, time: f64) -> Vec<Actuato
     .map(|(i, (actuator, at_rest))| ActuatorAtRest {
         name: actuator.name.clone(),
         effort: efforts[i],
-        end_effort: rod.actuators.last_line(i).map(|line| efforts[line]),
+        end_effort: end_tension(rod, i, &efforts),
         coordinate: state.coordinates[i] - at_rest,
     })
     .collect()
+}
+
+/// Returns the tension where a tendon with friction ends, N: behind the middle of its last element the path turns as much per length as before it.
+///
+/// With the tensions `T_a` and `T_b` in the middles of the last two elements, of the lengths `a` and `b`, it is `T_b (T_b/T_a)^(b/(a + b))`, since
+/// `T_b/T_a = exp(-μ σ θ)` for the turn `θ` from one middle to the other.
+fn end_tension(rod: &Rod, actuator: usize, efforts: &[f64]) -> Option<f64> {
+    let own = (rod.actuators.rubbing()).find(|own| own.actuator == actuator)?;
+    let last = own.n_pieces.checked_sub(1)?;
+    let end = *efforts.get(own.line + last)?;
+    if last == 0 || end == 0.0 {
+        return Some(end);
+    }
+    let [a, b] = [last - 1, last].map(|piece| rod.elements[own.first + piece].length);
+    Some(end * (end / efforts[own.line + last - 1]).powf(b / (a + b)))
 }
 
 /// Returns the sweep as a motion, with the load factor in the place of the time.

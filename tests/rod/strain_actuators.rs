@@ -381,7 +381,8 @@ fn a_tendon_in_wide_holes_lies_on_their_inner_side() {
                 "{offset} {curvature}: {part}"
             );
         }
-        let [wide, narrow] = [clearance, 0.0].map(|own| threaded_length(0.01, offset, spacing, own));
+        let [wide, narrow] =
+            [clearance, 0.0].map(|own| threaded_length(0.01, offset, spacing, own));
         assert!((narrow - wide).abs() < 0.01 * clearance * length * 0.01);
     }
 }

@@ -91,6 +91,14 @@ fn rows_that_are_no_line_are_refused() {
             "offset_to_m",
         ),
         ("offset_m = [0.0, 0.01, 0.0, 1.0]", "rows"),
+        (
+            "offset_m = [[0.0, 0.01, 0.0], [150.0, 0.01, 0.0], [200.0, 0.005, 0.0]]",
+            "150 is no fraction of the length",
+        ),
+        (
+            "offset_m = [[-0.1, 0.01, 0.0], [1.0, 0.01, 0.0]]",
+            "-0.1 is no fraction of the length",
+        ),
     ] {
         let desk = Desk::holding(&format!("{ARM}[[tendon]]\n{tendon}\npretension_n = 1.0\n"));
         let (code, _, talk) = desk.run("check arm.toml");
@@ -98,6 +106,30 @@ fn rows_that_are_no_line_are_refused() {
         assert!(
             talk.contains(word) && talk.contains("tendon"),
             "{tendon}: {talk}"
+        );
+    }
+}
+
+/// Disks are at most as far from one another as the tendon is long in the arm, from where it begins to where it ends.
+#[test]
+fn disks_farther_apart_than_a_tendon_is_long_are_refused() {
+    let check = |keys: &str| {
+        let text = format!("{ARM}[[tendon]]\noffset_m = [0.01, 0.0]\npretension_n = 1.0\n{keys}\n");
+        let (code, _, talk) = Desk::holding(&text).run("check arm.toml");
+        (code == USAGE, talk)
+    };
+    for (keys, refused) in [
+        ("disk_spacing_m = 0.4", true),
+        ("disk_spacing_m = 0.2", false),
+        ("disk_spacing_m = 0.15\nfrom = 0.4", true),
+        ("disk_spacing_m = 0.12\nfrom = 0.4", false),
+        ("disk_spacing_m = 0.11\nfrom = 0.2\nto = 0.7", true),
+    ] {
+        let (is_refused, talk) = check(keys);
+        assert_eq!(is_refused, refused, "{keys}: {talk}");
+        assert!(
+            !refused || talk.contains("tendon.0.disk_spacing_m"),
+            "{talk}"
         );
     }
 }

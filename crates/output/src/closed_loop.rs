@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::OutputError;
 use super::reading::read_text;
+use super::summary::SlackSummary;
 use mpc::{Innovations, N_COMPONENTS, Percentiles, Sample, TipError, Unknown};
 use verify::doubt::UnderDoubt;
 
@@ -150,6 +151,9 @@ pub struct MpcSummary {
     /// Ranges of the efforts that acted in the actuators in the arm, at the ends of samples; absent without them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub efforts: Vec<EffortRange>,
+    /// Slack of the tendons on winches, at the ends of samples; absent where there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub slack: Vec<SlackSummary>,
     /// Changes that may help if the estimate is doubtful, commands are late, or the tip ends far from its reference.
     pub advice: Vec<String>,
     /// Error of the arm's shape at the end on the model's nodes, m.

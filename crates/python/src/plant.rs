@@ -7,13 +7,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use nalgebra::{Matrix3, Vector3};
+use numpy::ndarray::Array2;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 pub(super) use self::batch::Batch;
 use super::{GLANCE, raise, read, scene_error};
-use crate::arrays::{Numbers, array_of_matrices, array_of_vectors, matrices, numbers, vectors};
+use crate::arrays::{
+    Numbers, any_numbers, array_of_matrices, array_of_vectors, matrices, numbers, vectors,
+};
 use crate::controller::Controller;
 use softarm::mechanics::energy::kinetic_energy;
 use softarm::mechanics::rotation::{orthonormalized, stray};
@@ -22,7 +25,7 @@ use softarm::mechanics::{
     Wrench,
 };
 use softarm::mpc::Transfer;
-use softarm::scene::{Scene, SceneSource};
+use softarm::scene::{InputRanges, Scene, SceneSource};
 use softarm::stop::StopSignal;
 
 /// Most time steps in one call, so that a mistaken `dt` does not hang the interpreter.
@@ -387,6 +390,8 @@ struct Kind {
     /// Longest time step, s.
     longest_step: f64,
     names: Vec<String>,
+    /// The inputs that its actuators take.
+    ranges: InputRanges,
 }
 
 impl Kind {
@@ -405,11 +410,13 @@ impl Kind {
         let names = (rod.actuators.driven())
             .map(|actuator| actuator.name.clone())
             .collect();
+        let ranges = scene.input_ranges(rod.scales.force);
         Ok(Self {
             rod,
             initial,
             longest_step,
             names,
+            ranges,
         })
     }
 
@@ -428,8 +435,12 @@ impl Kind {
         steps_of(dt, self.longest_step)
     }
 
+    /// Returns the inputs of an array, which may leave those to NaN that follow others.
     fn efforts(&self, name: &str, array: &Numbers<'_>) -> PyResult<Vec<f64>> {
-        numbers(name, array, &[self.names.len()])
+        let mut inputs = any_numbers(name, array, &[self.names.len()])?;
+        (self.ranges.settle(&mut inputs))
+            .map_err(|error| PyValueError::new_err(format!("{name}: {error}")))?;
+        Ok(inputs)
     }
 }
 
@@ -530,6 +541,13 @@ impl Plant {
             .collect()
     }
 
+    /// Least and largest effort that `step` takes, for every actuator, `(m, 2)`; infinite where there is no bound.
+    #[getter]
+    fn bounds<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let rows: Vec<[f64; 2]> = self.kind.ranges.iter().map(|own| own.bounds).collect();
+        Array2::from(rows).into_pyarray(py)
+    }
+
     /// The efforts that act now, one for every actuator, in N, Pa, T, T/m or as activation; of a tendon on a winch its tension.
     #[getter]
     fn efforts<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
@@ -599,8 +617,8 @@ impl Plant {
 
     /// Moves the arm by `dt` seconds under wrenches `(K+1, 6)` on the nodes (force in N, spatial; moment in N m, in the frame of the node)
     /// and efforts `(m,)` of the actuators, in the unit of `units` (N, Pa, activation, T; of a winch its displacement in m, negative where it
-    /// pulls in); without efforts those of the scene act. They are constant, or go linearly
-    /// to `wrenches_to` and `efforts_to`.
+    /// pulls in), each within its bounds; those that follow others may be NaN. Without efforts those of the scene act. They are constant, or go
+    /// linearly to `wrenches_to` and `efforts_to`.
     #[pyo3(signature = (dt, wrenches=None, efforts=None, wrenches_to=None, efforts_to=None))]
     fn step(
         &mut self,

@@ -20,7 +20,7 @@ use softarm::mechanics::rollout::{
 use softarm::mechanics::rotation::{hat, vee};
 use softarm::mechanics::threads::on_threads;
 use softarm::mechanics::{Rod, State};
-use softarm::scene::{MovingArm, Scene, SceneError};
+use softarm::scene::{InputRanges, MovingArm, Scene, SceneError};
 use softarm::stop::StopSignal;
 
 /// An arm with values of the numbers of a rollout.
@@ -94,6 +94,8 @@ struct Common {
     linear: bool,
     nodes: Vec<usize>,
     names: Vec<String>,
+    /// The inputs that the actuators of a plant take.
+    ranges: InputRanges,
     n_nodes: usize,
     /// The arm of the scene.
     own: Arc<Valued>,
@@ -200,7 +202,7 @@ impl Rollout {
         linear: bool,
         nodes: Vec<isize>,
     ) -> PyResult<Self> {
-        let (_, source) = read(py, &name, text.as_deref(), &overrides)?;
+        let (scene, source) = read(py, &name, text.as_deref(), &overrides)?;
         let mut origin = Origin {
             name,
             text,
@@ -231,6 +233,7 @@ impl Rollout {
             linear,
             nodes: nodes.into_iter().map(place).collect::<PyResult<_>>()?,
             names: rod.actuators.driven().map(|own| own.name.clone()).collect(),
+            ranges: scene.input_ranges(rod.scales.force),
             n_nodes,
             own: Arc::new(own),
             last: Mutex::default(),
@@ -241,6 +244,15 @@ impl Rollout {
     #[getter]
     fn actuators(&self) -> Vec<String> {
         self.0.names.clone()
+    }
+
+    /// Names the first of efforts `(n, m)` that a plant would refuse for its bounds, with its row, if there is any.
+    fn beyond(&self, efforts: Numbers<'_>) -> Option<String> {
+        let efforts = efforts.as_array();
+        (efforts.rows().into_iter().enumerate()).find_map(|(row, inputs)| {
+            let found = self.0.ranges.beyond(&inputs.to_vec())?;
+            Some(format!("row {row}: {found}"))
+        })
     }
 
     /// Values of the numbers in the scene.

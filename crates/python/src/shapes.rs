@@ -1,16 +1,18 @@
 //! Shapes at rest of one arm under many inputs.
 
+use std::borrow::Cow;
+
 use nalgebra::Vector3;
 use numpy::ndarray::{Array3, Array4};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArray4};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Numbers, numbers};
+use super::arrays::{Numbers, any_numbers};
 use super::{interruptibly, raise, read, scene_error};
 use softarm::mechanics::at_rest::{RodsBeside, ShapeAtRest, Wanted, shapes_of_rods};
 use softarm::mechanics::{EquilibriumError, Rod, TrajectoryTangent};
-use softarm::scene::{Scene, SceneError};
+use softarm::scene::{InputError, Scene, SceneError};
 
 /// Derivatives of positions and rotations of the nodes along numbers.
 type Along<'py> = [Bound<'py, PyArray4<f64>>; 2];
@@ -23,7 +25,10 @@ type Arrays<'py> = (
     Option<Along<'py>>,
 );
 
-/// Returns the names of the actuators of a scene, in the order of inputs, and their units.
+/// The name of an actuator, the unit of its input, and whether that follows from the input of another one.
+type Input = (String, String, bool);
+
+/// Returns the names of the actuators of a scene, in the order of inputs, their units, and whether they follow others.
 #[pyfunction]
 #[pyo3(signature = (name, text=None, overrides=Vec::new()))]
 pub(super) fn inputs(
@@ -31,20 +36,24 @@ pub(super) fn inputs(
     name: &str,
     text: Option<&str>,
     overrides: Vec<String>,
-) -> PyResult<Vec<(String, String)>> {
+) -> PyResult<Vec<Input>> {
     let (scene, source) = read(py, name, text, &overrides)?;
     let rod = scene
         .discrete_rod(&source)
         .map_err(|error| scene_error(py, &error))?;
     let named = rod.actuators.driven();
-    Ok(named
-        .map(|own| (own.name.clone(), own.input_unit().to_string()))
-        .collect())
+    let ranges = scene.input_ranges(rod.scales.force);
+    let named = named.enumerate().map(|(at, own)| {
+        let unit = own.input_unit().to_string();
+        (own.name.clone(), unit, ranges.follows(at))
+    });
+    Ok(named.collect())
 }
 
 /// Why a row has no shape at rest.
 enum Failure {
     Scene(SceneError),
+    Input(usize, InputError),
     Statics(usize, EquilibriumError),
 }
 
@@ -54,8 +63,8 @@ impl From<(usize, EquilibriumError)> for Failure {
     }
 }
 
-/// Returns the shapes at rest for rows of inputs of all actuators, `(n, m)`, or without them for those of the scene, and for columns of
-/// numbers of other keys.
+/// Returns the shapes at rest for rows of inputs of all actuators, `(n, m)`, each within its bounds or, where it follows another one, NaN; or
+/// without them for those of the scene, and for columns of numbers of other keys.
 #[pyfunction]
 #[pyo3(signature = (name, text, overrides, inputs, columns=Vec::new(), along=Vec::new(), jacobian=false, stability=false, threads=None))]
 #[allow(clippy::too_many_arguments)]
@@ -86,7 +95,7 @@ pub(super) fn shapes<'py>(
         (None, None) => 1,
     };
     let rows = match &inputs {
-        Some(inputs) => numbers("inputs", inputs, &[n, m])?,
+        Some(inputs) => any_numbers("inputs", inputs, &[n, m])?,
         None => Vec::new(),
     };
     if let Some((key, column)) = columns.iter().find(|(_, column)| column.len() != n) {
@@ -109,11 +118,13 @@ pub(super) fn shapes<'py>(
     };
     let name = name.to_owned();
     let text = source.text;
+    let ranges = scene.input_ranges(rod.scales.force);
     let found = interruptibly(
         py,
         move |stop| {
             let of_row = |row: usize| -> Result<(Rod, RodsBeside), Failure> {
                 let (mut own, mut others) = (rod.clone(), beside_own.clone());
+                let mut taken = Cow::Borrowed(&ranges);
                 if !columns.is_empty() {
                     let mut changed = overrides.clone();
                     changed.extend(
@@ -128,13 +139,16 @@ pub(super) fn shapes<'py>(
                             0 => RodsBeside::new(),
                             _ => (scene.arm_numbers(&source)?).rods_beside(&rod, &along, 1)?,
                         };
-                        Ok((rod, beside))
+                        let ranges = scene.input_ranges(rod.scales.force);
+                        Ok((rod, beside, Cow::Owned(ranges)))
                     };
-                    (own, others) = read().map_err(Failure::Scene)?;
+                    (own, others, taken) = read().map_err(Failure::Scene)?;
                 }
                 match rows.get(m * row..m * (row + 1)) {
                     Some(inputs) if m > 0 => {
-                        let with = |rod: &Rod| rod.with_inputs(inputs);
+                        let mut inputs = inputs.to_vec();
+                        (taken.settle(&mut inputs)).map_err(|error| Failure::Input(row, error))?;
+                        let with = |rod: &Rod| rod.with_inputs(&inputs);
                         for (rods, _) in &mut others {
                             *rods = rods.each_ref().map(with);
                         }
@@ -147,6 +161,9 @@ pub(super) fn shapes<'py>(
         },
         |failure| match failure {
             Failure::Statics(row, error) => raise(py, "ModelError", format!("row {row}: {error}")),
+            Failure::Input(row, error) => {
+                PyValueError::new_err(format!("inputs of row {row}: {error}"))
+            }
             Failure::Scene(error) => scene_error(py, &error),
         },
     )?;

@@ -53,4 +53,4 @@ pub use distributed::DistributedCouple;
 pub use effort::{EffortControl, Follows};
 pub use error::{DiscretizeError, NearestHeld, Obstruction};
 #[doc(hidden)]
-pub use taut::{allow_slack, taut_limit};
+pub use taut::{Begins, allow_slack, taut_limit};

@@ -19,13 +19,22 @@ pub(super) fn keep_taut(problem: &mut OptimalControlProblem) {
     if problem.rod.scheme != TimeScheme::Implicit {
         return;
     }
-    problem.path.extend(taut_limit(problem));
+    problem.path.extend(taut_limit(problem, Begins::Taut));
 }
 
-/// Returns the limit that keeps those tendons of winches taut that are controls and are taut at the start; `None` without any.
+/// The tendons that a limit keeps taut, by what they are at the start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Begins {
+    /// Those that are taut there: a hard limit has no motion for others.
+    Taut,
+    /// Those that are slack there too, which are to be taken up.
+    Anyhow,
+}
+
+/// Returns the limit that keeps those tendons of winches taut that are controls and begin so; `None` without any.
 #[must_use]
-pub fn taut_limit(problem: &OptimalControlProblem) -> Option<PathConstraint> {
-    let tendons = taut_tendons(problem);
+pub fn taut_limit(problem: &OptimalControlProblem, begins: Begins) -> Option<PathConstraint> {
+    let tendons = taut_tendons(problem, begins);
     (!tendons.is_empty()).then(|| PathConstraint {
         name: TAUT.into(),
         limit: PathLimit::Taut { tendons },
@@ -47,8 +56,8 @@ pub fn allow_slack(problem: &mut OptimalControlProblem, stay: &Stay) {
     (problem.path).retain(|path| path.limit.n_items(&problem.rod) > 0);
 }
 
-/// Returns the tendons of winches that are controls and are taut at the start, with their least tensions, N.
-fn taut_tendons(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
+/// Returns the tendons of winches that are controls and begin so, with their least tensions, N.
+fn taut_tendons(problem: &OptimalControlProblem, begins: Begins) -> Vec<(usize, f64)> {
     let rod = &problem.rod;
     let state = rod.effort_state(problem.initial.configuration.poses());
     let inputs = rod.actuators.efforts(problem.grid.start);
@@ -62,7 +71,7 @@ fn taut_tendons(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
             let bends = effort::bending_tension(rod, actuator).unwrap_or(0.0);
             let least = f64::max(LEAST_TENSION * bends, stretched);
             let law = rod.actuators.law(actuator, input, &state);
-            (law.effort > least).then_some((actuator, least))
+            (begins == Begins::Anyhow || law.effort > least).then_some((actuator, least))
         })
         .collect()
 }

@@ -40,9 +40,9 @@ pub struct Control {
     pub force_rate_max_n_s: Option<Bound>,
     /// Largest rate of change of every moment in N m/s, positive. Absent: unbounded.
     pub moment_rate_max_n_m_s: Option<Bound>,
-    /// Keeps tendons on winches that are controls taut in a solve and in the plans of a loop, those that are taut at the start and where the
-    /// arm is held at its target; default true. Where it is false they may go slack, a solve may not converge, and a loop may lose its path,
-    /// since a slack tendon does not feel its winch.
+    /// Keeps tendons on winches that are controls taut, but for those that are slack where the arm is held at its target: in a solve the ones
+    /// that are taut at the start, in the plans of a loop all, which takes up what is slack at first; default true. Where it is false they may
+    /// go slack, a solve may not converge, and a loop may lose its path, since a slack tendon does not feel its winch.
     #[serde(default = "values::yes", skip_serializing_if = "bool::clone")]
     pub keep_taut: bool,
     /// Forces and moments on other nodes than the tip.

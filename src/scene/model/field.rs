@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::super::keys::{Checked, Excludes, Keys, Needs, given};
 use super::super::values::{self, Fraction, Positive, digits, known};
 use super::Scene;
-use super::hardware::{EffortKeys, RateBound};
+use super::hardware::{EffortKeys, InputRange, RateBound};
 use crate::mechanics::{self, OfPose, Place, PoseActuator, Span};
 use crate::task::EffortControl;
 
@@ -282,6 +282,16 @@ impl Scene {
     pub(in crate::scene) fn pose_actuators(&self) -> Vec<PoseActuator> {
         (self.pose_efforts().into_iter())
             .map(PoseEffort::of_arm)
+            .collect()
+    }
+
+    /// The inputs that the actuators on poses take.
+    pub(super) fn pose_ranges(&self, force: f64) -> Vec<InputRange> {
+        (self.pose_efforts().into_iter())
+            .map(|own| {
+                let given = own.rows.iter().map(|row| row.1);
+                InputRange::of(&own.keys, own.name.clone(), own.unit, given, force)
+            })
             .collect()
     }
 

@@ -4,6 +4,7 @@ mod describing;
 mod effort;
 mod friction;
 mod line;
+mod range;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,7 @@ pub use self::effort::{FollowKeys, RateBound};
 pub use self::friction::Sliding;
 use self::friction::{default_sliding, is_default_sliding};
 pub use self::line::Offset;
+pub use self::range::{InputError, InputRange, InputRanges};
 use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Fraction, NonNegative, Positive, digits, known};
 use super::Scene;
@@ -156,7 +158,7 @@ actuator! {
     Tendon = "tendon";
     own {}
     line {
-        /// Place in the section at `from`, along its two axes, in m. Or rows [fraction of the length, x, y], linear in between and constant
+        /// Place in the section at `from`, along its two axes, in m. Or rows [fraction of the length from 0 to 1, x, y], linear in between and constant
         /// outside; two rows at one fraction are a jump, as from one hole of a disk to another.
         offset_m,
         /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
@@ -195,7 +197,8 @@ actuator! {
         #[serde(default, skip_serializing_if = "values::is_default")]
         free_length_m: NonNegative<values::Length>,
         /// Distance in m of disks through which the tendon runs, straight from one to the next: where the arm bends by the curvature κ, it is
-        /// shorter than its line in the section by κ² s²/24 of its length. Default: 0, a channel along the whole arm.
+        /// shorter than its line in the section by κ² s²/24 of its length; at most the length along the arm from `from` to `to`. Default: 0, a
+        /// channel along the whole arm.
         #[serde(default, skip_serializing_if = "values::is_default")]
         disk_spacing_m: NonNegative<values::Length>,
         /// Distance c in m by which the holes of the disks are wider than the tendon on every side; goes with `disk_spacing_m`. A pulled tendon lies
@@ -316,7 +319,7 @@ actuator! {
         stress_pa: Positive<values::ActiveStress>,
     }
     line {
-        /// Place in the section at `from`, along its two axes, in m. Or rows [fraction of the length, x, y], linear in between and constant
+        /// Place in the section at `from`, along its two axes, in m. Or rows [fraction of the length from 0 to 1, x, y], linear in between and constant
         /// outside; two rows at one fraction are a jump, as from one hole of a disk to another.
         offset_m,
         /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
@@ -542,6 +545,7 @@ impl Keys<'_> {
         for (index, tendon) in scene.tendon.iter().enumerate() {
             self.check_winch(&format!("tendon.{index}"), tendon)?;
             self.check_friction(index, tendon, scene)?;
+            self.check_disks(index, tendon, scene)?;
         }
         for (index, braid) in scene.braid.iter().enumerate() {
             if braid.turns_1_m == 0.0 || !braid.turns_1_m.is_finite() {

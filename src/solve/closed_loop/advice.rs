@@ -8,7 +8,7 @@ use crate::scene::{ClosedLoopSetup, LARGEST_STRETCH};
 use crate::stop::StopSignal;
 
 /// Part of the length that the tip may be off at the end of a loop without a word about it, as the root mean square over the last quarter.
-const FAR: f64 = 0.01;
+pub(super) const FAR: f64 = 0.01;
 
 /// Returns sentences on the errors of a loop: an estimate that cannot be trusted, fallbacks and bounds that the loop reports, and changes
 /// that may help if the tip is far off at the end.

@@ -113,6 +113,8 @@ impl LoopOrder<'_> {
         (summary.advice).extend(broken.and_then(|(plants, found)| plants.broken_promise(found)));
         summary.doubt = doubt;
         summary.efforts = recording.effort_ranges(&self.setup.plant);
+        summary.slack = recording.slack(&self.setup.plant);
+        (summary.advice).extend(recording.slack_advice(self.setup, &run));
         let recording = RefCell::new(recording);
         let written = directory.publish_or_rescue(|result| {
             let summary = MpcSummary {
@@ -272,6 +274,7 @@ impl LoopOrder<'_> {
             bounded: tally.bounded,
             breaking: tally.breaking,
             efforts: Vec::new(),
+            slack: Vec::new(),
             doubt: None,
             advice: advice(setup, run, others, &limits),
             limits,

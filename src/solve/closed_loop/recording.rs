@@ -2,23 +2,28 @@
 
 use std::path::Path;
 
+use super::advice::FAR;
 use crate::control::path::PathEnforcement;
 use crate::control::{Hold, NamedControl, PathLimit, RodView};
 use crate::mechanics::{
     Configuration, Energy, NodalState, Rod, State, TimeGrid, Trajectory, Wrench,
 };
-use crate::mpc::{ClosedLoop, KEPT, Sample};
+use crate::mpc::{ClosedLoop, KEPT, Outcome, Sample};
 use crate::output::closed_loop::{
     EffortRange, GaveWay, LimitPeak, MpcSummary, SampleRow, write_samples,
 };
+use crate::output::summary::SlackSummary;
 use crate::output::{
     ControlRow, END_FILE, EffortRow, MotionRecord, OutputError, ResultDirectory, RowFiles,
     ThinnedMotion, json_value, render_report, write_controls, write_efforts, write_end,
 };
 use crate::scene::ClosedLoopSetup;
-use crate::solve::efforts::efforts_at;
+use crate::solve::efforts::{efforts_at, slack};
 use crate::solve::learned::BeyondLearned;
 use crate::solve::page::closed_loop_page;
+
+/// Part of a run up to which a slack tendon is not worth a word, a choice.
+const BRIEF: f64 = 0.05;
 
 /// Recording of the arm's motion, a row at the beginning and after every sample, and of the commands that are sent to it.
 pub(super) struct Recording {
@@ -230,6 +235,41 @@ impl Recording {
                 }
             })
             .collect()
+    }
+
+    /// Returns the part of the ends of samples at which the tendon of each winch has no tension.
+    pub(super) fn slack(&self, rod: &Rod) -> Vec<SlackSummary> {
+        slack(rod, &self.efforts)
+    }
+
+    /// Returns a sentence on the tendons of winches that are slack for a part of a run that ends far from its reference.
+    pub(super) fn slack_advice(&self, setup: &ClosedLoopSetup, run: &Outcome) -> Option<String> {
+        let own = &setup.experiment;
+        if !(run.tip_error.rms > FAR * own.arm.length) {
+            return None;
+        }
+        let longest = |name: &str| {
+            let rows = self.efforts.iter().filter(|row| row.name == name);
+            rows.filter_map(|row| Some(row.displacement.flatten()? + row.coordinate))
+                .fold(0.0, f64::max)
+        };
+        let found: Vec<String> = (self.slack(&setup.plant).into_iter())
+            .filter(|own| own.fraction > BRIEF)
+            .map(|own| {
+                let (part, by) = (100.0 * own.fraction, 1e3 * longest(&own.name));
+                format!(
+                    "\"{}\" for {part:.0} % of the run, by up to {by:.2} mm",
+                    own.name
+                )
+            })
+            .collect();
+        (!found.is_empty()).then(|| {
+            format!(
+                "tendons are slack, so that their winches have no effect: {}; begin with them taut, by a smaller rest_displacement_m, and keep \
+                 them taut by control.keep_taut = true",
+                found.join("; ")
+            )
+        })
     }
 
     /// Writes the files of the result, the summary last.

@@ -17,7 +17,9 @@ use control::{OptimalControlProblem, PathConstraint};
 use mechanics::Wrench;
 use mechanics::linearization::StateTangent;
 use stop::StopSignal;
-use task::{Arm, Discretization, DiscretizeError, Rest, Task, Track, allow_slack, taut_limit};
+use task::{
+    Arm, Begins, Discretization, DiscretizeError, Rest, Task, Track, allow_slack, taut_limit,
+};
 
 /// Factor on the weight of a held target, relative to a followed path: a default of the target, which a track of the scene's own with
 /// another `objective.track.weight` replaces (decision 71). A buckled arm has several equilibria; effort is measured from one of them, and
@@ -229,10 +231,11 @@ impl OneHorizon {
 /// again. The price of the limit is above that of effort there: with `c` the weight of effort, of the rate over a horizon too, `s` the scale
 /// of a winch and `u` the unit of a row, a displacement of [`FARTHEST`] `s` from where it costs nothing pulls a row by `c u/s` times as much.
 /// A higher price would have the plan answer to every length of a tendon that the noise of sensors makes up (decision 131).
-/// Without a price of effort nothing leaves a tendon slack, and there is no limit.
+/// A tendon that is slack at the start has the limit too, which takes it up. Without a price of effort nothing leaves a tendon slack, and
+/// there is no limit.
 fn keep_taut(problem: &mut OptimalControlProblem, keeps: bool, horizon: f64) {
     (problem.path).retain(|path| !path.limit.depends_on_inputs());
-    let Some(limit) = keeps.then(|| taut_limit(problem)).flatten() else {
+    let Some(limit) = keeps.then(|| taut_limit(problem, Begins::Anyhow)).flatten() else {
         return;
     };
     let least = (problem.driven().filter(|(drive, _)| drive.winch.is_some()))

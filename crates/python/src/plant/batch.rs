@@ -11,7 +11,7 @@ use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
 use super::{Acting, Arm, Halt, Kind, Origin, Watch, state_arrays};
-use crate::arrays::{Numbers, numbers};
+use crate::arrays::{Numbers, any_numbers, numbers};
 use crate::{GLANCE, n_threads};
 use softarm::mechanics::State;
 use softarm::task::prediction::simulation_seconds;
@@ -183,9 +183,16 @@ impl Batch {
                 _ => numbers("wrenches", &own, &[n, 6]),
             })
             .transpose()?;
-        let efforts = efforts
-            .map(|own| numbers("efforts", &own, &[n, m]))
+        let mut efforts = efforts
+            .map(|own| any_numbers("efforts", &own, &[n, m]))
             .transpose()?;
+        for (index, kind) in self.kinds.iter().enumerate() {
+            if let Some(own) = &mut efforts {
+                (kind.ranges.settle(&mut own[m * index..m * (index + 1)])).map_err(|error| {
+                    PyValueError::new_err(format!("efforts of arm {index}: {error}"))
+                })?;
+            }
+        }
         let steps = (self.kinds.iter())
             .map(|kind| kind.steps(dt))
             .collect::<PyResult<Vec<_>>>()?;

@@ -4,7 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::super::keys::{Checked, Excludes, Keys};
-use super::Common;
+use super::super::super::values::digits;
+use super::super::Scene;
+use super::{Common, Tendon};
 use crate::mechanics::Route;
 
 /// The line of an actuator in the section.
@@ -93,7 +95,37 @@ impl Offset {
     }
 }
 
+/// Part by which a fraction or a distance that was computed may be too large.
+const ROUNDING: f64 = 1e-9;
+
 impl Keys<'_> {
+    /// Checks that disks are no farther from one another than the tendon is long, and that holes have disks.
+    pub(super) fn check_disks(&self, index: usize, tendon: &Tendon, scene: &Scene) -> Checked {
+        let (spacing, length) = (tendon.disk_spacing_m.get(), scene.rod.length_m.get());
+        if tendon.hole_clearance_m.get() > 0.0 && spacing == 0.0 {
+            let help = "give the distance of the disks that have the holes".to_string();
+            let message = "without disk_spacing_m there are no holes".to_string();
+            let key = format!("tendon.{index}.hole_clearance_m");
+            return Err(self.source.error_at(&key, message, Some(help)));
+        }
+        let along = (tendon.to.get() - tendon.from.get()) * length;
+        // Ends in the wrong order are refused by themselves.
+        if !(along > 0.0 && spacing > (1.0 + ROUNDING) * along) {
+            return Ok(());
+        }
+        let message = format!(
+            "disks {} m apart do not guide a tendon along {} m of the arm",
+            digits(spacing),
+            digits(along)
+        );
+        Err((self.source)
+            .error_at(&format!("tendon.{index}.disk_spacing_m"), message, None)
+            .expecting(format!(
+                "expected at most {} m, from `from` to `to` of the tendon",
+                digits(along)
+            )))
+    }
+
     /// Checks the keys of the line of an actuator in a section of the scene.
     pub(super) fn check_line(&self, section: &str, own: &Common) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
@@ -103,6 +135,13 @@ impl Keys<'_> {
             Offset::Rows(rows) => {
                 for (i, row) in rows.iter().enumerate() {
                     self.finite(&key(&format!("offset_m.{i}")), row)?;
+                }
+                let outside = |row: &[f64; 3]| !(-ROUNDING..=1.0 + ROUNDING).contains(&row[0]);
+                if let Some(i) = rows.iter().position(outside) {
+                    let message = format!("{} is no fraction of the length", digits(rows[i][0]));
+                    return Err((self.source)
+                        .error_at(&key(&format!("offset_m.{i}.0")), message, None)
+                        .expecting("expected rows [fraction, x in m, y in m] with fractions of the length of the arm from 0 to 1"));
                 }
                 let given = ("offset_m", true);
                 self.relations(section, &[Excludes(("offset_to_m", end.is_some()), given)])?;
