@@ -178,7 +178,6 @@ class Controller:
         self._places = [node["place"] for node in self.greeting["nodes"]]
         self._names = [own["name"] for own in self.greeting["controls"]]
         self._sent: list[Command] = []
-        self._rollouts: dict[Any, Rollout] = {}
 
     @property
     def period(self) -> float:
@@ -282,6 +281,7 @@ class Plant:
     def __init__(self, native: _softarm.Plant, scene: Scene | None = None):
         self._native, self._scene = native, scene
         self._sent: list[Command] = []
+        self._rollouts: dict[Any, Rollout] = {}
 
     @property
     def time(self) -> float:

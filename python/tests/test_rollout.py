@@ -252,7 +252,7 @@ def test_a_step_of_a_plant_has_derivatives():
     def tip(change):
         changed = arm.replace({key: arm[key] + change}).plant()
         state = before.state
-        changed.set_state(state.x, state.R, state.v, state.w)
+        changed.set_state(state)
         return changed.step(0.02, None, own[1], efforts_to=own[2]).x[-1] @ [1.0, -2.0, 0.5]
 
     before = arm.plant()

@@ -746,7 +746,7 @@ proptest! {
             prop_assert!(!(found.residual.max() <= 1e-3));
         }
         if multipliers.validate(&problem).is_ok() {
-            prop_assert!(goals.len() == 3 && (rates.is_empty() || rates.len() == 5));
+            prop_assert!(goals.len() == 3 && (rates.is_empty() || rates.len() == 5 * 6));
             prop_assert!(goals.iter().all(|y| y.is_finite()));
         }
     }
