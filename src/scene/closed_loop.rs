@@ -12,8 +12,8 @@ use crate::control::{OptimalControlProblem, rounding_of};
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
-    ActuatorDynamics, EffortDynamics, Experiment, Heard, MpcError, Sensing, Sensor, SensorChoice,
-    SensorSettings, ServeError, Server, Transfer, followed, with_long_steps,
+    ActuatorDynamics, EffortDynamics, Experiment, Heard, LoopSettings, MpcError, Sensing, Sensor,
+    SensorChoice, SensorSettings, ServeError, Server, Transfer, followed, with_long_steps,
 };
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, StartError, Task};
@@ -117,6 +117,28 @@ impl ClosedLoopSetup {
 }
 
 impl Scene {
+    /// Returns the settings of the loop; its fall-back waits as long as its sensors may be silent.
+    fn loop_settings(&self, mpc: &Mpc, delay: f64, sensors: &[SensorSettings]) -> LoopSettings {
+        let mut out = mpc.loop_settings(delay);
+        if self.estimator.is_some() {
+            out.fallback = (out.fallback).following(sensors, mpc.period_s.get());
+        }
+        out
+    }
+
+    /// Returns what the controller knows of the arm.
+    fn sensing(&self, sensors: &[SensorSettings], seed: u32) -> Sensing {
+        (self.estimator.as_ref()).map_or(Sensing::Everything, |estimator| {
+            estimator.sensing(sensors, seed, self)
+        })
+    }
+
+    /// Returns by how much plans keep inside of the limits; empty without margins.
+    fn margins(&self) -> Vec<f64> {
+        let given = self.doubt.as_ref().and_then(|doubt| doubt.margins.clone());
+        given.unwrap_or_default()
+    }
+
     /// Returns the horizon, s. Blocks of a default one have to be short beside the paths that the arm follows.
     fn horizon(&self, mpc: &Mpc, rod: &Rod, stop: &StopSignal) -> Result<f64, StartError> {
         if let Some(horizon) = mpc.horizon_s {
@@ -183,13 +205,8 @@ impl Scene {
         let seed = mpc.seed.unwrap_or(seed);
         let sensors = self.sensors(source, &model, &found.rod)?;
         let actuators = self.actuator_dynamics();
-        let mut loop_settings = mpc.loop_settings(actuators.delay);
-        if self.estimator.is_some() {
-            loop_settings.fallback = (loop_settings.fallback).following(&sensors, period);
-        }
-        let begins = task.cost.tracks.iter().map(|track| track.from);
-        let counted_from =
-            (mpc.counted_from_s).map_or_else(|| begins.fold(period, f64::max), Number::get);
+        let loop_settings = self.loop_settings(mpc, actuators.delay, &sensors);
+        let counted_from = counted_from(mpc, &task);
 
         let mut resolved = self.resolved(&arm, &discretization);
         resolved.time.step_s = asked.step;
@@ -218,19 +235,14 @@ impl Scene {
             ..if due.is_some() { task } else { passing }
         };
         let task = with_weights_of(task, &posed.discrete);
-        let sensing = (self.estimator.as_ref()).map_or(Sensing::Everything, |estimator| {
-            estimator.sensing(&sensors, seed, self)
-        });
         Ok(ClosedLoopSetup {
             experiment: Experiment {
                 plant,
                 plant_discretization,
-                margins: (self.doubt.as_ref())
-                    .and_then(|doubt| doubt.margins.clone())
-                    .unwrap_or_default(),
+                margins: self.margins(),
                 actuators,
                 efforts,
-                sensing,
+                sensing: self.sensing(&sensors, seed),
                 settings: loop_settings,
                 duration,
                 counted_from,
@@ -553,6 +565,12 @@ fn seldom_asked(task: &Task, step: Option<f64>, period: f64) -> Option<String> {
              give the period, or leave time.step_s out"
         )
     })
+}
+
+/// Returns the time from which errors count, s: that of the scene, or that from which all references do.
+fn counted_from(mpc: &Mpc, task: &Task) -> f64 {
+    let begins = task.cost.tracks.iter().map(|track| track.from);
+    (mpc.counted_from_s).map_or_else(|| begins.fold(mpc.period_s.get(), f64::max), Number::get)
 }
 
 /// Returns half of the first natural period about the start, s, at most `longest` and at least ten samples, as a whole number of samples.

@@ -296,7 +296,7 @@ viscous_1_s = 2.0
 [initial]
 shape = \"equilibrium\"
 [time]
-end_s = 2.0
+end_s = 1.4
 [control]
 force_max_n = 2.0
 moment_max_n_m = [0.1, 0.1, 0.0]
@@ -315,7 +315,7 @@ counted_from_s = 0.5
 [plant]
 elements = 12
 [doubt]
-plants = 12
+plants = 10
 [[doubt.number]]
 key = \"plant.stiffness_factor\"
 range = [0.8, 1.2]

@@ -200,7 +200,7 @@ fn friction_is_learned_from_shapes() {
     let desk = Desk::holding(ARM);
     fs::write(desk.path("truth.toml"), ARM).unwrap();
     let mut dice = fastrand::Rng::with_seed(5);
-    let rows: Vec<[f64; 3]> = (0..60)
+    let rows: Vec<[f64; 3]> = (0..44)
         .map(|_| {
             let spared = dice.usize(0..3);
             std::array::from_fn(|i| if i == spared { 0.0 } else { 1.2 * dice.f64() })
