@@ -59,8 +59,9 @@ impl Free {
             ));
         }
         let lower = described.and_then(|free| free.lower).unwrap_or(0.0);
-        if !(play.is_empty() && lag.is_empty()) && lower < 0.0 {
-            let noun = if play.is_empty() { "lag" } else { "play" };
+        let never_below_0 =
+            ([("play", play), ("lag", lag)].into_iter()).find(|(_, paths)| !paths.is_empty());
+        if let Some((noun, _)) = never_below_0.filter(|_| lower < 0.0) {
             return refuse(format!("{key} has lower = {lower}: a {noun} is at least 0"));
         }
         let moves = || {
@@ -112,7 +113,7 @@ impl Free {
             && lag.is_empty()
             && list.is_none();
         let bounds = [
-            part(|free| free.lower).unwrap_or(if !(play.is_empty() && lag.is_empty()) {
+            part(|free| free.lower).unwrap_or(if never_below_0.is_some() {
                 0.0
             } else if is_positive {
                 1e-3 * start

@@ -101,7 +101,12 @@ impl Model<'_> {
         (beside, fewest): (&Beside, Fewest),
     ) -> Result<Vec<DMatrix<f64>>, FitError> {
         let swept = on_threads(cases.len(), self.n_threads, |i| {
-            self.swept(at, (cases[i], steps), beside, fewest)
+            match self.swept(at, (cases[i], steps), beside, fewest) {
+                Err(FitError::Stopped(stop)) => Err(FitError::Stopped(stop)),
+                // Where a motion cannot be linearized, there may be others beside it.
+                Err(_) => Ok(beside.points.iter().map(|_| None).collect()),
+                found => found,
+            }
         })?;
         let mut first = 0;
         let mut parts = Vec::with_capacity(cases.len());
@@ -123,23 +128,8 @@ impl Model<'_> {
     /// Returns the residuals of a recording at points beside `at`, to first order in what changes the motion.
     ///
     /// # Errors
-    /// Returns [`FitError::Stopped`].
+    /// Returns [`FitError`] where the motion has no next step or cannot be linearized, and if it is stopped.
     fn swept(
-        &self,
-        at: &[f64],
-        (index, steps): (usize, &Steps),
-        beside: &Beside,
-        fewest: Fewest,
-    ) -> Result<Swept, FitError> {
-        match self.beside_motion(at, (index, steps), beside, fewest) {
-            Err(FitError::Stopped(stop)) => Err(FitError::Stopped(stop)),
-            // Where a motion cannot be linearized, there may be others beside it.
-            Err(_) => Ok(beside.points.iter().map(|_| None).collect()),
-            found => found,
-        }
-    }
-
-    fn beside_motion(
         &self,
         at: &[f64],
         (index, steps): (usize, &Steps),

@@ -133,6 +133,11 @@ impl Scene {
         })
     }
 
+    /// Tells whether plans keep the tendons of winches taut.
+    fn keeps_taut(&self) -> bool {
+        self.control.as_ref().is_none_or(|own| own.keep_taut)
+    }
+
     /// Returns by how much plans keep inside of the limits; empty without margins.
     fn margins(&self) -> Vec<f64> {
         let given = self.doubt.as_ref().and_then(|doubt| doubt.margins.clone());
@@ -231,7 +236,7 @@ impl Scene {
         warnings.extend(seldom_asked(&task, asked.step, period));
         warnings.extend(self.slack_winches(&found.rod, &found.initial));
         let task = Task {
-            keeps_taut: self.control.as_ref().is_none_or(|own| own.keep_taut),
+            keeps_taut: self.keeps_taut(),
             ..if due.is_some() { task } else { passing }
         };
         let task = with_weights_of(task, &posed.discrete);
@@ -364,8 +369,7 @@ impl Scene {
             far.then(|| format!("\"{}\" by {:.2} mm", own.name, 1e3 * by))
         });
         let slack: Vec<String> = slack.collect();
-        let keeps_taut = self.control.as_ref().is_none_or(|own| own.keep_taut);
-        let what = if keeps_taut {
+        let what = if self.keeps_taut() {
             "the plan takes that up first, as far as effort has a price; a smaller rest_displacement_m begins taut"
         } else {
             "a slack tendon does not feel its winch, so that no plan may move the arm: a smaller rest_displacement_m begins taut, and \

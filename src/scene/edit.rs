@@ -3,7 +3,6 @@
 use toml::{Table, Value};
 use toml_edit::{ArrayOfTables, DocumentMut, InlineTable, Item, TableLike};
 
-use super::overrides::Override;
 use super::{Scene, SceneSource};
 
 /// Number of rounds of change and reading: a first one for the scene, one for keys of the text that an override had put out of force, and
@@ -19,10 +18,7 @@ impl SceneSource {
     /// The text reads back as `scene`; `None` if no such text is found.
     pub(crate) fn text_with(&self, scene: &Scene) -> Option<String> {
         let written: Table = toml::from_str(&self.text).ok()?;
-        let mut overridden = written.clone();
-        for setter in &self.overrides {
-            Override::parse(setter).ok()?.apply(&mut overridden).ok()?;
-        }
+        let overridden = self.entries()?;
         let wanted = entries(scene)?;
         let (mut found, _) = Scene::from_toml(&self.name, &self.text, &self.overrides).ok()?;
         let mut document: DocumentMut = self.text.parse().ok()?;

@@ -1,6 +1,6 @@
 //! The arm of a scene as a program moves it, and arms beside it, with more or less of some numbers.
 
-use super::overrides::{Override, number, value_at};
+use super::overrides::{number, value_at};
 use super::{Scene, SceneError, SceneSource};
 use crate::mechanics::at_rest::RodsBeside;
 use crate::mechanics::rollout::Beside;
@@ -100,7 +100,7 @@ impl ArmNumbers {
     /// # Errors
     /// Returns [`SceneError`] at a key that is no number of the scene.
     pub fn values(&self, keys: &[String]) -> Result<Vec<f64>, SceneError> {
-        let table: toml::Table = toml::from_str(&self.resolved.to_toml()).unwrap_or_default();
+        let table = self.entries();
         let one = |key: &String| {
             number(&table, key).ok_or_else(|| {
                 let help = "docs/scene-reference.md names the keys, as rod.material.youngs_modulus_pa or tendon.0.offset_m.1";
@@ -111,15 +111,17 @@ impl ArmNumbers {
         keys.iter().map(one).collect()
     }
 
+    /// Returns the entries of the scene with every default.
+    fn entries(&self) -> toml::Table {
+        toml::from_str(&self.resolved.to_toml()).unwrap_or_default()
+    }
+
     /// Returns overrides that write out the lists of which some keys name a number and which the scene leaves at their defaults.
     #[must_use]
     pub fn written_out(&self, keys: &[String]) -> Vec<String> {
-        let mut given: toml::Table = toml::from_str(&self.source.text).unwrap_or_default();
-        for setter in (self.source.overrides.iter()).filter_map(|text| Override::parse(text).ok()) {
-            // The scene was read with them.
-            let _ = setter.apply(&mut given);
-        }
-        let table: toml::Table = toml::from_str(&self.resolved.to_toml()).unwrap_or_default();
+        // The scene was read from them.
+        let given = self.source.entries().unwrap_or_default();
+        let table = self.entries();
         let mut out: Vec<String> = Vec::new();
         for key in keys {
             let Some((list, index)) = key.rsplit_once('.') else {

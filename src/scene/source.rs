@@ -1,10 +1,11 @@
 //! The text and the overrides of a scene, and the place of each key in them.
 
 use super::error::{Line, Place, SceneError, excerpt};
-use super::overrides::Override;
+use super::overrides::{Override, set_entry};
 use super::reader::{Mark, Misfit};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use toml::Table;
 use toml::de::{DeTable, DeValue};
 
 /// The origin of a scene: its text and overrides, kept so that every later error can still name its line.
@@ -84,6 +85,15 @@ impl SceneSource {
             format!("not valid TOML: {}", excerpt(error.message())),
             place,
         )
+    }
+
+    /// Returns the entries of the text with the overrides; `None` of a source that does not parse.
+    pub(super) fn entries(&self) -> Option<Table> {
+        let mut out = toml::from_str(&self.text).ok()?;
+        for setter in &self.overrides {
+            set_entry(&mut out, setter).ok()?;
+        }
+        Some(out)
     }
 
     fn place(&self, path: &[&str], mark: Mark) -> Place {

@@ -105,7 +105,7 @@ impl LoopsInDoubt {
         let n_limits = setup.experiment.task.limits.len();
         let mut margins = self.chosen(share, n_limits, stop, &say)?;
         let n = self.draws.doubt.plants;
-        let most = (share * n as f64).floor() as usize;
+        let most = may_leave(share, n);
         let mut growth = 1.0;
         for trial in 1..=MOST_TRIALS {
             self.margins = Some(margins.clone());
@@ -191,7 +191,7 @@ impl LoopsInDoubt {
     /// Tells where more plants leave a limit than the share that the scene promises.
     pub fn broken_promise(&self, found: &UnderDoubt) -> Option<String> {
         let share = self.draws.doubt.share?;
-        let most = (share * found.plants as f64).floor() as usize;
+        let most = may_leave(share, found.plants);
         (found.violating > most).then(|| {
             format!(
                 "doubt.share = {share} is NOT KEPT: {} of {} plants leave a limit, and {most} may; what the arm does beyond its plans does not fall as                  margins grow: estimate the numbers in doubt, narrow their ranges, or give the limit or the reference more room",
@@ -265,6 +265,11 @@ fn under_doubt(found: &[Option<OnLoop>]) -> UnderDoubt {
         })
         .collect();
     UnderDoubt::of(names, &outcomes)
+}
+
+/// Returns how many of `n` plants that took no part in the choice of margins may leave a limit.
+fn may_leave(share: f64, n: usize) -> usize {
+    (share * n as f64).floor() as usize
 }
 
 /// Tells whether a plant leaves a limit, or whether its motion breaks down.

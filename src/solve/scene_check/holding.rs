@@ -9,11 +9,11 @@ use crate::task::Staying;
 use crate::task::staying::holding_over;
 
 /// Verdicts of what holds the tip at its target.
-pub(crate) const WITHIN: &str = "within-bounds";
-pub(crate) const ABOVE: &str = "above-bounds";
-pub(crate) const UNSTABLE: &str = "unstable";
-pub(crate) const CANNOT: &str = "cannot-be-held";
-pub(crate) const NOT_FOUND: &str = "not-found";
+pub(super) const WITHIN: &str = "within-bounds";
+const ABOVE: &str = "above-bounds";
+const UNSTABLE: &str = "unstable";
+const CANNOT: &str = "cannot-be-held";
+pub(super) const NOT_FOUND: &str = "not-found";
 
 /// Says whether and by what the tip, or the node of the task, can be held at its goal, over a stay if the arm should stay; `None` where it
 /// has none, or the search was stopped.

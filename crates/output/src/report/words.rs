@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use minijinja::{AutoEscape, Environment, Error, ErrorKind, UndefinedBehavior, Value};
 use serde::Serialize;
 
-use crate::quantity::{digits, mass, quantity};
+use crate::quantity::{digits, quantity};
 
 use super::{
     ReportAttempt, ReportBars, ReportChart, ReportCheck, ReportCurve, ReportTable, ReportVerdict,
@@ -401,7 +401,7 @@ fn measure(value: f64, unit: &str, digits: usize) -> String {
 ///
 /// Filters: `number` (NaN for what is none), `figure(digits)`, `m(unit)` (three digits and a unit), `percent`, `vector`, `significant`
 /// (without rounding of other components), `size` (Euclidean norm), `exp`, `counted(noun)`, `words` (of a key or a number),
-/// `fixed(decimals)`, `power(decimals)` (as in 1.5e-3); and for a terminal `digits`, `quantity(unit)` and `mass`, as in
+/// `fixed(decimals)`, `power(decimals)` (as in 1.5e-3); and for a terminal `digits` and `quantity(unit)`, as in
 /// [`quantity`](crate::quantity).
 /// The test `known` holds for finite numbers.
 fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment<'static>, Error> {
@@ -453,7 +453,6 @@ fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment
     out.add_filter("quantity", |v: Value, unit: String| {
         quantity(number(&v), &unit)
     });
-    out.add_filter("mass", |v: Value| mass(number(&v)));
     out.add_filter("exp", |v: Value| number(&v).exp());
     out.add_filter("percent", |v: Value| measure(100.0 * number(&v), "%", 3));
     out.add_filter("vector", |v: Value| {

@@ -9,7 +9,7 @@ use crate::scene::values::digits;
 /// Part of the size of its bounds by which an input may be beyond them, or off the relation to another one: rounding, also of single precision.
 const ROUNDING: f64 = 1e-6;
 
-/// What an input is beyond that of the actuator that it follows: `rest + gain (leader - rest of the leader)`.
+/// The relation of an input to that of the actuator that it follows: it is `rest + gain (leader - rest of the leader)`.
 #[derive(Clone, Debug, PartialEq)]
 struct Pair {
     /// Place of the leader among the inputs.
@@ -255,11 +255,9 @@ impl Scene {
             .map(|own| {
                 let given = own.profile.iter().flatten().map(|row| row[1]);
                 let given = given.chain([own.effort.rest.1]);
-                let unit = match (own.effort.section, &own.effort.winch) {
-                    (_, Some(_)) => "m",
-                    ("tendon", None) => "N",
-                    ("muscle", None) => "",
-                    _ => "Pa",
+                let unit = match own.effort.winch {
+                    Some(_) => "m",
+                    None => own.density.effort_unit(),
                 };
                 InputRange::of(&own.effort, own.name(), unit, given, force)
             })
