@@ -186,7 +186,8 @@ impl<S: Simd> Neg for Lanes<S> {
     fn neg(self) -> Self {
         Self {
             simd: self.simd,
-            value: self.simd.neg_f64s(self.value),
+            // Its own function of negation is not always inlined, and then a call for every vector.
+            value: (self.simd).xor_f64s(self.value, self.simd.splat_f64s(-0.0)),
         }
     }
 }

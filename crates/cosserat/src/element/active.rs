@@ -311,7 +311,7 @@ impl<S: Simd> ActivePoint<S> {
         if let Some(sign) = density.length_sign() {
             let g = line * (self.weight * sign / length);
             let mut moment = self.moment(g);
-            let kappa = [psi.x, psi.y].map(|own| own * self.inverse_length);
+            let kappa = [psi.x * self.inverse_length, psi.y * self.inverse_length];
             if let Some([slope, _]) = density.bent_slopes(kappa) {
                 let slope = self.weight * self.inverse_length * slope;
                 moment.x = moment.x + psi.x * slope;
@@ -423,7 +423,7 @@ impl<S: Simd> ActivePoint<S> {
             pull = weight * sign;
             across = pull * inverse;
             along = -across;
-            let [kx, ky] = [psi.x, psi.y].map(|own| own * self.inverse_length);
+            let (kx, ky) = (psi.x * self.inverse_length, psi.y * self.inverse_length);
             if let Some([slope, bend]) = density.bent_slopes([kx, ky]) {
                 let scale = weight * self.inverse_length;
                 let (slope, bend) = (scale * slope, scale * bend);

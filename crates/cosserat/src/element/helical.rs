@@ -247,7 +247,7 @@ impl TangentRule for Helical {
                 x[i][j] = left.transposed_product(stressed);
             }
         }
-        let [left, right] = [start, end].map(|pose| pose.chart.angular());
+        let (left, right) = (start.chart.angular(), end.chart.angular());
         for (j, right) in right.into_iter().enumerate() {
             let stressed = right.scale_rows(law.c2);
             for (i, left) in left.into_iter().enumerate() {

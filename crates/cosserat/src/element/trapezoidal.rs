@@ -27,7 +27,10 @@ impl<S: Simd> TrapezoidalPose<S> {
         let identity = Mat3::multiple(Lanes::splat(dx.x.simd, 1.0));
         Self {
             rotations,
-            v: rotations.map(|r| r.apply_transposed(dx)),
+            v: [
+                rotations[0].apply_transposed(dx),
+                rotations[1].apply_transposed(dx),
+            ],
             psi,
             p: identity + Mat3::hat(psi) * 0.5 + Mat3::outer(psi, psi) * 0.25,
         }

@@ -372,12 +372,6 @@ impl RodActuators {
         self.paths.iter().find(|path| path.actuator == actuator)
     }
 
-    /// Returns the line in which a tendon with friction ends; `None` for another actuator.
-    #[must_use]
-    pub fn last_line(&self, actuator: usize) -> Option<usize> {
-        self.path_of(actuator)?.lines().last()
-    }
-
     /// Returns the actuator of a line.
     #[must_use]
     pub fn actuator_of(&self, line: usize) -> usize {

@@ -67,10 +67,9 @@ pub fn inertia_curvature<S: Simd>(
     after: Vec3<S>,
 ) -> [Mat3<S>; 3] {
     let simd = before.x.simd;
-    let [leaving, arriving] = rotary.map(|rotary| {
-        let j_d = rotary.map(|j| (0.5 * rotary.sum() - j) / h);
-        Mat3::diagonal(Vec3::splat(simd, &j_d))
-    });
+    let rate = |rotary: &Vector3<f64>| rotary.map(|j| (0.5 * rotary.sum() - j) / h);
+    let leaving = Mat3::diagonal(Vec3::splat(simd, &rate(rotary[0])));
+    let arriving = Mat3::diagonal(Vec3::splat(simd, &rate(rotary[1])));
     let c = leaving.product_hat(before) - Mat3::hat_product(after, arriving);
     // The mixed cofactor of Cᵀ and F combines rows of both, in both orders.
     let (c_t, f) = (c.transpose().rows, turn.rows);

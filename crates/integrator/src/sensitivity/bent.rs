@@ -38,24 +38,10 @@ impl Group<'_> {
             let (_, folded_here) = element_at::<S, R, P>(simd, poses, q);
             let (_, folded_there) = element_at::<S, R, P>(simd, next, q);
             irregular = irregular + folded_here + folded_there;
-            let end = |poses: &[Row<S>], [linear, angular]: [usize; 2], weight: f64| {
-                let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
-                let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
-                let of = |q: usize, at: usize| {
-                    Vec3::load(simd, &multipliers[q * MULTIPLIER_ROWS..], at) * weight
-                };
-                // The element pulls a with +F and b with -F, and turns them with -M.
-                CurvedEnd {
-                    dx: b.position - a.position,
-                    rotations: [a.rotation, b.rotation],
-                    covector: [
-                        of(q, linear) - of(q + 1, linear),
-                        -of(q, angular),
-                        -of(q + 1, angular),
-                    ],
-                }
-            };
-            let ends = [end(poses, [12, 6], leaving), end(next, [15, 9], arriving)];
+            let ends = [
+                curved_end::<S>(simd, q, (poses, multipliers), [12, 6], leaving),
+                curved_end::<S>(simd, q, (next, multipliers), [15, 9], arriving),
+            ];
             let law = Elasticity::of::<R>(simd, element);
             let mut found = stress_curvature::<S, R, P>(&law, element.length, weights, &ends);
             if let (TimeScheme::Implicit, Some(active)) = (rod.scheme, &workspace.active) {
@@ -93,5 +79,30 @@ impl Group<'_> {
             }
         }
         irregular
+    }
+}
+
+/// Returns an end of the interval for element `q`, with the poses there and the rows of the multipliers of its momenta, to be weighted.
+#[inline(always)]
+fn curved_end<S: Simd>(
+    simd: S,
+    q: usize,
+    (poses, multipliers): (&[Row<S>], &[Row<S>]),
+    [linear, angular]: [usize; 2],
+    weight: f64,
+) -> CurvedEnd<S> {
+    let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
+    let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
+    let near = &multipliers[q * MULTIPLIER_ROWS..];
+    let far = &multipliers[(q + 1) * MULTIPLIER_ROWS..];
+    // The element pulls a with +F and b with -F, and turns them with -M.
+    CurvedEnd {
+        dx: b.position - a.position,
+        rotations: [a.rotation, b.rotation],
+        covector: [
+            Vec3::load(simd, near, linear) * weight - Vec3::load(simd, far, linear) * weight,
+            -(Vec3::load(simd, near, angular) * weight),
+            -(Vec3::load(simd, far, angular) * weight),
+        ],
     }
 }

@@ -103,21 +103,24 @@ impl CovectorSums {
         let (rod, grid) = (motion.rod, motion.grid);
         let n = rod.n_nodes();
         for k in 0..=grid.n_steps {
-            let kick = motion.kick(k);
+            let weight = motion.kick(k).weight;
             for q in rod.first_free_node()..n {
-                let (linear, angular) = (&sweep.linear[k * n + q], &sweep.angular[k * n + q]);
-                self.weight[q] += linear * kick.weight;
-                for (interval, factor, sign) in [
-                    (Some(k).filter(|k| *k < grid.n_steps), -1.0, 1.0),
-                    (k.checked_sub(1), kick.decay, -1.0),
-                ] {
-                    let Some(from) = interval else { continue };
-                    let [x, y] = [from, from + 1].map(|k| trajectory.positions_at(k)[q]);
-                    self.mass[q] += factor * linear.dot(&(y - x)) / grid.step;
-                    let [r, s] = [from, from + 1].map(|k| &trajectory.rotations_at(k)[q]);
-                    let along = momentum_coefficients(&r.tr_mul(s), angular, sign);
-                    self.rotary[q] += along * (factor / grid.step);
-                }
+                self.weight[q] += sweep.linear[k * n + q] * weight;
+            }
+        }
+        // The momenta that leave a time node count for its kick, and those that arrive at the next one for the kick there.
+        for k in 0..grid.n_steps {
+            let decay = motion.kick(k + 1).decay;
+            let [x, y] = [k, k + 1].map(|k| trajectory.positions_at(k));
+            let [r, s] = [k, k + 1].map(|k| trajectory.rotations_at(k));
+            for q in rod.first_free_node()..n {
+                let (here, next) = (k * n + q, (k + 1) * n + q);
+                let linear = sweep.linear[next] * decay - sweep.linear[here];
+                self.mass[q] += linear.dot(&(y[q] - x[q])) / grid.step;
+                let turn = r[q].tr_mul(&s[q]);
+                let arriving = momentum_coefficients(&turn, &sweep.angular[next], -1.0);
+                let leaving = momentum_coefficients(&turn, &sweep.angular[here], 1.0);
+                self.rotary[q] += (arriving * decay - leaving) / grid.step;
             }
         }
     }

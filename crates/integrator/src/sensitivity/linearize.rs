@@ -624,8 +624,9 @@ impl Group<'_> {
             intervals,
             ..
         } = &mut *self.workspace;
-        let [before, after] = [&*poses, &*next]
-            .map(|poses| NodePose::<S>::load(simd, &rows::<S>(poses)[node * POSE_ROWS..]).rotation);
+        let at = node * POSE_ROWS;
+        let before = NodePose::<S>::load(simd, &rows::<S>(poses)[at..]).rotation;
+        let after = NodePose::<S>::load(simd, &rows::<S>(next)[at..]).rotation;
         let multipliers = &rows::<S>(multipliers)[node * MULTIPLIER_ROWS..];
         let (leaving, arriving) = (
             Vec3::load(simd, multipliers, 6),

@@ -418,6 +418,7 @@ impl WithSimd for CoupledDriftTransposed<'_> {
 }
 
 impl<S: Simd> Columns<'_, S> {
+    #[inline(always)]
     fn hold(&mut self) {
         let held = self.step.first_free_node * NODE_COMPONENTS * self.width;
         self.data[..held].fill(self.simd.splat_f64s(0.0));

@@ -701,7 +701,7 @@ impl<S: Simd> Columns<'_, S> {
         self.set(node, 6, linear);
         self.set(node, 9, angular);
         if let Some(own) = self.step.resisted.get(node) {
-            let left = [0, 1, 2].map(|i| self.times(spin.mass_rate, u[i]));
+            let left = std::array::from_fn(|i| self.times(spin.mass_rate, u[i]));
             self.take_arriving(own, node, left, turned);
         }
     }

@@ -176,7 +176,8 @@ fn helical<S: Simd>(
         bend: slope,
     };
     let chart = HelicalChart::at(&log, y);
-    let [from_a, from_b] = instant.seen_from(0, start).map(|own| chart.s.product(own));
+    let [seen_a, seen_b] = instant.seen_from(0, start);
+    let (from_a, from_b) = (chart.s.product(seen_a), chart.s.product(seen_b));
     let [near, far] = chart.linear();
     let linear = Derivative {
         along: [0, 1, 2, 3],

@@ -68,7 +68,8 @@ impl<S: Simd> Resisted<S> {
         let across = self.normal * self.across;
         // Without motion across the axis there is no direction.
         let least = Lanes::splat(across.simd, f64::MIN_POSITIVE);
-        let [x, y] = [self.moved.x, self.moved.y].map(|own| own / self.across.max(least));
+        let norm = self.across.max(least);
+        let (x, y) = (self.moved.x / norm, self.moved.y / norm);
         let slope = [
             across + x * x * across,
             x * y * across,

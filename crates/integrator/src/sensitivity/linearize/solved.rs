@@ -541,8 +541,7 @@ fn add_blocks<S: Simd>(
 fn turning<S: Simd>(simd: S, joint: &Joint) -> Mat3<S> {
     let mut out = Mat3::zero(simd);
     for (i, row) in out.rows.iter_mut().enumerate() {
-        let [x, y, z] = [0, 1, 2].map(|j| Lanes::splat(simd, joint.turning[(i, j)]));
-        *row = Vec3 { x, y, z };
+        *row = Vec3::splat(simd, &joint.turning.row(i).transpose());
     }
     out
 }
