@@ -8,10 +8,10 @@ use cosserat::{
 };
 use integrator::curvature::MotionMultipliers;
 use integrator::linearization::{Defects, Motion};
+use integrator::sensitivity::RepeatedDefects;
 use integrator::sensitivity::adjoint;
 use integrator::sensitivity::along::Along;
 use integrator::sensitivity::linearize::Memory;
-use integrator::sensitivity::residual::defects_on;
 use integrator::sensitivity::step::{LinearizedStep, NodeDrift, StepCurvature};
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -126,13 +126,18 @@ fn lanes_equal_single_time_nodes() {
         }
         let control = ControlSignal::default();
         for trajectory in [&trajectory, &bent(false)] {
-            let [reference, single] = [1, 0].map(|n_lanes| {
-                defects_on(Arch::Scalar, n_lanes > 0, &motion, trajectory, &control).unwrap()
-            });
+            let defects_on = |arch: Arch, in_lanes: bool| {
+                let mut memory = RepeatedDefects::on(arch, in_lanes, &motion);
+                // The second time in memory that has been used.
+                memory.evaluate(&motion, trajectory, &control).unwrap();
+                memory
+                    .evaluate(&motion, trajectory, &control)
+                    .unwrap()
+                    .clone()
+            };
+            let [reference, single] = [1, 0].map(|n_lanes| defects_on(Arch::Scalar, n_lanes > 0));
             for arch in levels() {
-                assert!(
-                    defects_on(arch, true, &motion, trajectory, &control).unwrap() == reference
-                );
+                assert!(defects_on(arch, true) == reference);
             }
             let rows = |defects: &Defects| -> Vec<f64> {
                 let rows = defects.linear.iter().chain(&defects.angular);

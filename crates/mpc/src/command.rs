@@ -344,16 +344,6 @@ impl Command {
         self.list
             .visit(self.commanded_at(t), |on, amount| all.add(on, amount));
     }
-
-    /// Writes the efforts of all actuators that act at time `t`, beyond the given ones.
-    pub(super) fn write_efforts_at(&self, t: f64, efforts: &mut [f64]) {
-        efforts.fill(0.0);
-        self.list.visit(self.acting_at(t), |on, amount| {
-            if let ControlledPart::Effort(actuator) = on {
-                efforts[actuator] += amount;
-            }
-        });
-    }
 }
 
 /// Returns the value at a time (s) after one that acted, under a constant command and a lag: `c + (u - c) exp(-t/τ)`.

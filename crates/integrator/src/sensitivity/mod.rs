@@ -58,7 +58,7 @@ pub use self::active::{Covectors, EffortPulls};
 pub use self::contracted::{Contracted, CovectorSums};
 pub use self::numbers::{Neighbor, NumberChange, change_between};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
-pub use self::residual::defects;
+pub use self::residual::{RepeatedDefects, defects};
 pub use self::step::{
     ElementDrift, LinearizedStep, NodeDrift, NodeSpin, ReactionDrift, ResistedDrift, SolvedDrift,
 };

@@ -39,160 +39,220 @@ pub fn defects(
         along = control.along(motion.rod, &motion.grid, trajectory);
         &along
     };
-    let in_lanes = is_possible(motion);
-    defects_on(instructions(), in_lanes, motion, trajectory, control)
+    let mut memory = RepeatedDefects::new(motion);
+    memory.evaluate(motion, trajectory, control)?;
+    Ok(memory.defects)
 }
 
 /// Number of rows of a node: elastic force and moment, angular momentum that leaves and that arrives.
 const OUT_ROWS: usize = 12;
 
-/// [`defects`] on an instruction set, under a control without actuators of one's own; one time node in each lane, or each by itself.
-pub fn defects_on(
+/// [`defects`] of motions of one rod, whose numbers may differ, that are evaluated again and again in the same memory.
+#[derive(Debug)]
+pub struct RepeatedDefects {
     arch: Arch,
-    in_lanes: bool,
-    motion: &Motion,
-    trajectory: &Trajectory,
-    control: &ControlSignal,
-) -> Result<Defects, StepError> {
-    let Motion {
-        rod, grid, initial, ..
-    } = *motion;
-    let (n, h) = (rod.n_nodes(), grid.step);
-    let first = rod.first_free_node();
-    let mut many = in_lanes.then(|| Memory::new(motion, control, dispatch(arch, CountLanes)));
-    let mut single = None;
-    let n_lanes = many.as_ref().map_or(1, |memory| memory.n_lanes);
-    let zeros = vec![Vector3::zeros(); n * grid.n_steps];
-    let mut defects = Defects {
-        linear: zeros.clone(),
-        angular: zeros,
-        terminal_linear: initial.linear_momentum.clone(),
-        terminal_angular: initial.angular_momentum.clone(),
-    };
-    // Momenta that arrive at the time node, before its kick.
-    let (p, pi) = (&mut defects.terminal_linear, &mut defects.terminal_angular);
-    let mut forces = vec![Vector3::zeros(); n];
-    let mut moments = forces.clone();
-    let mut probe = 0.0;
-    for start in (0..=grid.n_steps).step_by(n_lanes) {
-        let end = (start + n_lanes - 1).min(grid.n_steps);
-        if let Some(memory) = &mut many {
-            memory.evaluate_many(arch, motion, trajectory, start, end);
+    many: Option<Memory>,
+    single: Option<Memory>,
+    defects: Defects,
+    /// Forces and moments of a time node.
+    loads: [Vec<Vector3<f64>>; 2],
+}
+
+impl RepeatedDefects {
+    /// Creates memory for motions of this rod, over grids of any number of steps.
+    #[must_use]
+    pub fn new(motion: &Motion) -> Self {
+        Self::on(instructions(), is_possible(motion), motion)
+    }
+
+    /// The same on an instruction set, one time node in each lane, or each by itself.
+    pub fn on(arch: Arch, in_lanes: bool, motion: &Motion) -> Self {
+        let zeros = vec![Vector3::zeros(); motion.rod.n_nodes()];
+        Self {
+            arch,
+            many: in_lanes.then(|| Memory::new(motion, dispatch(arch, CountLanes))),
+            single: None,
+            defects: Defects {
+                linear: Vec::new(),
+                angular: Vec::new(),
+                terminal_linear: zeros.clone(),
+                terminal_angular: zeros.clone(),
+            },
+            loads: [zeros.clone(), zeros],
         }
-        for (lane, k) in (start..=end).enumerate() {
-            let (memory, lane) = match &many {
-                Some(memory) if memory.is_regular(motion, lane) => (memory, lane),
-                _ => {
-                    let memory = single.get_or_insert_with(|| Memory::new(motion, control, 1));
-                    memory.evaluate_one(motion, trajectory, k)?;
-                    (&*memory, 0)
-                }
-            };
-            let of = |q: usize, part: usize| memory.of(q, part, lane);
-            let Kick {
-                decay,
-                weight,
-                impulse,
-            } = motion.kick(k);
-            // Of the elements: forces, or impulses where steps are solved for.
-            let kick = if memory.workspace.solve.is_some() {
-                1.0
-            } else {
-                weight
-            };
-            for q in 0..n {
-                forces[q] = rod.weight(q);
-                moments[q] = Vector3::zeros();
+    }
+
+    /// Evaluates the defects of a trajectory under a control without actuators of one's own.
+    ///
+    /// # Errors
+    /// As [`defects`].
+    pub fn evaluate(
+        &mut self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        control: &ControlSignal,
+    ) -> Result<&Defects, StepError> {
+        self.write(motion, trajectory, control)?;
+        self.defects.check(motion)?;
+        Ok(&self.defects)
+    }
+
+    fn write(
+        &mut self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        control: &ControlSignal,
+    ) -> Result<(), StepError> {
+        let Motion {
+            rod, grid, initial, ..
+        } = *motion;
+        let (n, h) = (rod.n_nodes(), grid.step);
+        let first = rod.first_free_node();
+        let Self {
+            arch,
+            many,
+            single,
+            defects,
+            loads: [forces, moments],
+        } = self;
+        let n_lanes = many.as_ref().map_or(1, |memory| memory.n_lanes);
+        for rows in [&mut defects.linear, &mut defects.angular] {
+            rows.clear();
+            rows.resize(n * grid.n_steps, Vector3::zeros());
+        }
+        defects.terminal_linear.clone_from(&initial.linear_momentum);
+        defects
+            .terminal_angular
+            .clone_from(&initial.angular_momentum);
+        // Momenta that arrive at the time node, before its kick.
+        let (p, pi) = (&mut defects.terminal_linear, &mut defects.terminal_angular);
+        for start in (0..=grid.n_steps).step_by(n_lanes) {
+            let end = (start + n_lanes - 1).min(grid.n_steps);
+            if let Some(memory) = many {
+                memory.evaluate_many(*arch, (motion, control), trajectory, start, end);
             }
-            let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-            for load in &rod.loads {
-                let wrench = load.wrench_at_node(&grid.node(k), &rotations[load.node]);
-                forces[load.node] += wrench.force;
-                moments[load.node] += wrench.moment;
-            }
-            if rod.actuators.act_on_poses() {
-                let along = Motion {
-                    control: Some(control),
-                    ..*motion
+            for (lane, k) in (start..=end).enumerate() {
+                let (memory, lane) = match &*many {
+                    Some(memory) if memory.is_regular(motion, lane) => (memory, lane),
+                    _ => {
+                        let memory = single.get_or_insert_with(|| Memory::new(motion, 1));
+                        memory.evaluate_one((motion, control), trajectory, k)?;
+                        (&*memory, 0)
+                    }
                 };
-                let efforts = along.efforts_at(k);
-                for (own, factor) in rod.posed(Posed::All, &efforts) {
-                    let wrench = own.wrench(&own.pose(positions, rotations), factor);
-                    forces[own.node] += wrench.force;
-                    moments[own.node] += wrench.moment;
+                let of = |q: usize, part: usize| memory.of(q, part, lane);
+                let Kick {
+                    decay,
+                    weight,
+                    impulse,
+                } = motion.kick(k);
+                // Of the elements: forces, or impulses where steps are solved for.
+                let kick = if memory.workspace.solve.is_some() {
+                    1.0
+                } else {
+                    weight
+                };
+                for q in 0..n {
+                    forces[q] = rod.weight(q);
+                    moments[q] = Vector3::zeros();
                 }
-                rod.visit_contact_forces(
-                    |node| positions[node],
-                    |node, force| forces[node] += force,
-                );
-            }
-            for (node, wrench) in control.at(k).iter() {
-                forces[node] += wrench.force;
-                moments[node] += wrench.moment;
-            }
-            for q in first..n {
-                p[q] = decay * p[q] + (weight * forces[q] + kick * of(q, 0));
-                pi[q] = decay * pi[q] + (weight * moments[q] + kick * of(q, 3));
-            }
-            for joint in &rod.joints {
-                p[joint.node] = Vector3::zeros();
-                pi[joint.node] = joint.turning * pi[joint.node];
-            }
-            if k == grid.n_steps {
-                break;
-            }
-            let rule = InertiaRule::of(rod.model, k);
-            let react = |at: InertiaRule, factor: f64, p: &mut [Vector3<f64>]| {
-                if rule == at {
-                    let turn = |q: usize| &memory.turns[q];
-                    let there = trajectory.positions_at(k + usize::from(at == InertiaRule::End));
-                    rod.add_kinetic_reaction(there, turn, factor, h, p);
+                let (positions, rotations) =
+                    (trajectory.positions_at(k), trajectory.rotations_at(k));
+                for load in &rod.loads {
+                    let wrench = load.wrench_at_node(&grid.node(k), &rotations[load.node]);
+                    forces[load.node] += wrench.force;
+                    moments[load.node] += wrench.moment;
                 }
-            };
-            react(InertiaRule::Start, impulse, p);
-            let next = trajectory.positions_at(k + 1);
-            let ahead = trajectory.rotations_at(k + 1);
-            for q in first..n {
-                let moving = (next[q] - positions[q]) * (rod.nodes[q].mass / h);
-                let row = k * n + q;
-                // Minus the impulses of the resistance at both ends of the interval.
-                let [leaving, arriving] = rod.resistance(q).map_or_else(Default::default, |own| {
-                    let velocity = (next[q] - positions[q]) / h;
-                    let ends = [(rotations, impulse), (ahead, motion.arriving_impulse())];
-                    ends.map(|(turned, factor)| {
-                        let tangent = turned[q].column(2).into_owned();
-                        own.force(&velocity, &tangent) * (-0.5 * h * factor)
-                    })
-                });
-                defects.linear[row] = moving + leaving - p[q];
-                defects.angular[row] = of(q, 6) - pi[q];
-                if let Some(joint) = rod.joint(q) {
-                    defects.linear[row] = Vector3::zeros();
-                    defects.angular[row] = joint.turning * defects.angular[row];
+                if rod.actuators.act_on_poses() {
+                    let along = Motion {
+                        control: Some(control),
+                        ..*motion
+                    };
+                    let efforts = along.efforts_at(k);
+                    for (own, factor) in rod.posed(Posed::All, &efforts) {
+                        let wrench = own.wrench(&own.pose(positions, rotations), factor);
+                        forces[own.node] += wrench.force;
+                        moments[own.node] += wrench.moment;
+                    }
+                    rod.visit_contact_forces(
+                        |node| positions[node],
+                        |node, force| forces[node] += force,
+                    );
                 }
-                probe += (defects.linear[row] + defects.angular[row]).sum();
-                p[q] = moving - arriving;
-                pi[q] = of(q, 9);
+                for (node, wrench) in control.at(k).iter() {
+                    forces[node] += wrench.force;
+                    moments[node] += wrench.moment;
+                }
+                for q in first..n {
+                    p[q] = decay * p[q] + (weight * forces[q] + kick * of(q, 0));
+                    pi[q] = decay * pi[q] + (weight * moments[q] + kick * of(q, 3));
+                }
+                for joint in &rod.joints {
+                    p[joint.node] = Vector3::zeros();
+                    pi[joint.node] = joint.turning * pi[joint.node];
+                }
+                if k == grid.n_steps {
+                    break;
+                }
+                let rule = InertiaRule::of(rod.model, k);
+                let react = |at: InertiaRule, factor: f64, p: &mut [Vector3<f64>]| {
+                    if rule == at {
+                        let turn = |q: usize| &memory.turns[q];
+                        let there =
+                            trajectory.positions_at(k + usize::from(at == InertiaRule::End));
+                        rod.add_kinetic_reaction(there, turn, factor, h, p);
+                    }
+                };
+                react(InertiaRule::Start, impulse, p);
+                let next = trajectory.positions_at(k + 1);
+                let ahead = trajectory.rotations_at(k + 1);
+                for q in first..n {
+                    let moving = (next[q] - positions[q]) * (rod.nodes[q].mass / h);
+                    let row = k * n + q;
+                    // Minus the impulses of the resistance at both ends of the interval.
+                    let [leaving, arriving] =
+                        rod.resistance(q).map_or_else(Default::default, |own| {
+                            let velocity = (next[q] - positions[q]) / h;
+                            let ends = [(rotations, impulse), (ahead, motion.arriving_impulse())];
+                            ends.map(|(turned, factor)| {
+                                let tangent = turned[q].column(2).into_owned();
+                                own.force(&velocity, &tangent) * (-0.5 * h * factor)
+                            })
+                        });
+                    defects.linear[row] = moving + leaving - p[q];
+                    defects.angular[row] = of(q, 6) - pi[q];
+                    if let Some(joint) = rod.joint(q) {
+                        defects.linear[row] = Vector3::zeros();
+                        defects.angular[row] = joint.turning * defects.angular[row];
+                    }
+                    p[q] = moving - arriving;
+                    pi[q] = of(q, 9);
+                }
+                react(InertiaRule::End, motion.arriving_impulse(), p);
             }
-            react(InertiaRule::End, motion.arriving_impulse(), p);
+        }
+        Ok(())
+    }
+}
+
+impl Defects {
+    /// Returns an error for a row that is not finite.
+    fn check(&self, motion: &Motion) -> Result<(), StepError> {
+        let (n, grid) = (motion.rod.n_nodes(), motion.grid);
+        let mut rows = self.linear.iter().zip(&self.angular);
+        match rows.position(|(linear, angular)| !(linear + angular).sum().is_finite()) {
+            None => Ok(()),
+            Some(row) => {
+                let what = "the residual of the equations of motion";
+                Err(not_finite(row % n, row / n, grid.time(row / n), what))
+            }
         }
     }
-    if f64::is_finite(probe) {
-        return Ok(defects);
-    }
-    let rows = defects.linear.iter().zip(&defects.angular);
-    let row = rows.map(|(linear, angular)| (linear + angular).sum());
-    let row = row
-        .enumerate()
-        .find_map(|(row, sum)| (!f64::is_finite(sum)).then_some(row));
-    let row = row.unwrap_or_default();
-    let what = "the residual of the equations of motion";
-    Err(not_finite(row % n, row / n, grid.time(row / n), what))
 }
 
 /// Time nodes, one in each lane, and what is found of them.
-struct Memory<'a> {
-    control: &'a ControlSignal,
+#[derive(Debug)]
+struct Memory {
     workspace: Workspace,
     out: Buffer,
     n_lanes: usize,
@@ -200,10 +260,9 @@ struct Memory<'a> {
     turns: Vec<Vector3<f64>>,
 }
 
-impl<'a> Memory<'a> {
-    fn new(motion: &Motion, control: &'a ControlSignal, n_lanes: usize) -> Self {
+impl Memory {
+    fn new(motion: &Motion, n_lanes: usize) -> Self {
         Self {
-            control,
             workspace: Workspace::new(motion, n_lanes),
             out: Buffer::zeros((motion.rod.n_nodes() * OUT_ROWS + 1) * n_lanes),
             n_lanes,
@@ -222,12 +281,18 @@ impl<'a> Memory<'a> {
         self.out[motion.rod.n_nodes() * OUT_ROWS * self.n_lanes + lane] == 0.0
     }
 
-    fn gather(&mut self, motion: &Motion, trajectory: &Trajectory, start: usize, end: usize) {
+    fn gather(
+        &mut self,
+        (motion, control): (&Motion, &ControlSignal),
+        trajectory: &Trajectory,
+        start: usize,
+        end: usize,
+    ) {
         let (n_lanes, n_steps) = (self.n_lanes, motion.grid.n_steps);
         self.workspace.put_poses(trajectory, start, end, n_lanes);
         if let Some(active) = &mut self.workspace.active {
             for lane in 0..n_lanes {
-                let along = (motion, Some(self.control), trajectory);
+                let along = (motion, Some(control), trajectory);
                 active.put(along, (start + lane).min(n_steps), (lane, n_lanes));
             }
         }
@@ -244,12 +309,12 @@ impl<'a> Memory<'a> {
     fn evaluate_many(
         &mut self,
         arch: Arch,
-        motion: &Motion,
+        (motion, control): (&Motion, &ControlSignal),
         trajectory: &Trajectory,
         start: usize,
         end: usize,
     ) {
-        self.gather(motion, trajectory, start, end);
+        self.gather((motion, control), trajectory, start, end);
         let group = self.group(motion, start);
         match motion.rod.strain_rule {
             StrainRule::Helical => dispatch(arch, Ruled(group, PhantomData::<Helical>)),
@@ -260,7 +325,7 @@ impl<'a> Memory<'a> {
     /// One time node of any motion.
     fn evaluate_one(
         &mut self,
-        motion: &Motion,
+        (motion, control): (&Motion, &ControlSignal),
         trajectory: &Trajectory,
         k: usize,
     ) -> Result<(), StepError> {
@@ -274,7 +339,7 @@ impl<'a> Memory<'a> {
             let ends = (trajectory.rotations_at(k).iter()).zip(trajectory.rotations_at(k + 1));
             (self.turns).extend(ends.map(|(before, after)| cay_inverse(&before.tr_mul(after))));
         }
-        self.gather(motion, trajectory, k, k);
+        self.gather((motion, control), trajectory, k, k);
         let group = self.group(motion, k);
         match rod.strain_rule {
             StrainRule::Helical => group.run::<Scalar, Helical, AnyTurn>(Scalar),

@@ -1,6 +1,7 @@
 //! An extended Kalman filter on the full state, in the tangent of the integrator.
 
 mod acting;
+mod parameters;
 mod settings;
 
 use faer::Mat;
@@ -15,15 +16,16 @@ use mechanics::linearization::{Motion, StateTangent};
 use mechanics::rotation::orthonormalized;
 use mechanics::sensitivity::RepeatedForward;
 use mechanics::strain_coordinates::{ShapeTransport, shape_difference};
-use mechanics::{Configuration, ControlSignal, EnergyNorm, Rod, State, TimeGrid, Trajectory};
+use mechanics::{Configuration, EnergyNorm, Rod, State, TimeGrid, Trajectory};
 
 use self::acting::Acting;
+use self::parameters::{ParameterSources, parameters};
 pub use self::settings::{KalmanSettings, RandomWalk};
 use super::comparison::Comparison;
 use super::covariance::Covariance;
 use super::gate::Gate;
 use super::node_frames::{NodeFrames, leave_free_motions};
-use super::prediction::{Predictor, Steps};
+use super::prediction::{MotionSignal, Predictor, Steps};
 use super::readings::{self, Layout};
 use super::slow::SlowPart;
 use super::unknown::{Influence, Unknown};
@@ -31,9 +33,6 @@ use super::unknown_forces::UnknownForces;
 use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation};
 use super::{check_start, check_time};
 
-/// Change of a parameter, in its unit, in central differences of two motions. Their relative error is the square of it, 1e-8, and rounding
-/// adds 1e-12 of a motion that repeats its initial errors.
-const PARAMETER_CHANGE: f64 = 1e-4;
 /// Number of passes over the ranges of the parameters. Each meets one bound exactly and moves the others by their correlation with it.
 const RANGE_PASSES: usize = 5;
 /// Cap on the linearizations of a measurement, which the plant waits for.
@@ -57,9 +56,8 @@ const MOST_STEPS: usize = 15;
 /// measurement differs from its linearization is repeated from there (the iterated filter, a Gauss-Newton method for the most likely state;
 /// Bell and Cathey 1993), so that the arm is found from far as well.
 ///
-/// The error is propagated by the exact linearization of the integrator's own steps, and along the parameters of the model and of its commands by
-/// differences of two motions, of which the slow part is kept: the effect of a wrong parameter on modes up to the fifth bending mode. Every
-/// disturbance is a random walk. A standard deviation of 0 is replaced by 1e-6 of the arm's own scales.
+/// The error is propagated by the exact linearization of the integrator's own steps. Along the parameters of the model and of its commands the
+/// slow part of that is kept: the effect of a wrong parameter on modes up to the fifth bending mode. Every disturbance is a random walk. A standard deviation of 0 is replaced by 1e-6 of the arm's own scales.
 ///
 /// No call after the first of its kind allocates memory if steps are explicit.
 pub struct KalmanFilter {
@@ -72,8 +70,9 @@ pub struct KalmanFilter {
     predictor: Predictor,
     sweep: RepeatedForward,
     trajectory: Trajectory,
-    /// Efforts along the motion; `None` for a model without actuators.
-    efforts: Option<ControlSignal>,
+    /// Controls along the motion.
+    signal: MotionSignal,
+    parameters: ParameterSources,
     /// Derivatives of the end of a motion along its start and along the disturbances.
     transition: [Mat<f64>; 2],
     comparison: Comparison,
@@ -144,7 +143,8 @@ impl KalmanFilter {
         };
         let predictor = Predictor::new(model, settings.longest_step);
         let mut filter = Self {
-            efforts: predictor.signal_of_efforts(),
+            signal: predictor.signal(),
+            parameters: ParameterSources::new(&motion, &layout, &predictor),
             settings: *settings,
             covariance: Covariance::new(layout.n, layout.n_state),
             slow: SlowPart::new(model, &frames),
@@ -218,40 +218,45 @@ impl KalmanFilter {
             estimate,
             predictor,
             trajectory,
-            efforts,
-            transition: [along_state, along_disturbance],
+            signal,
+            parameters,
+            acting,
+            layout,
             ..
         } = self;
         trajectory.positions.clear();
         trajectory.rotations.clear();
         trajectory.push(&estimate.state.configuration);
-        predictor.roll_out(
-            &estimate.state,
-            steps,
-            command,
-            &estimate.disturbance,
-            |stepper| stepper.record(trajectory),
-        )?;
+        let disturbance = &estimate.disturbance;
+        predictor.roll_out(&estimate.state, steps, command, disturbance, |stepper| {
+            stepper.record(trajectory);
+        })?;
         self.next.clone_from(predictor.end());
+        predictor.change(disturbance);
+        let (predictor, layout) = (&*predictor, &*layout);
+        let rod = predictor.rod();
+        predictor.write_signal(rod, steps, (command, disturbance), signal);
         let grid = TimeGrid {
             start: steps.start,
             step: steps.step,
             n_steps: steps.n,
         };
-        let layout = self.layout;
-        if let Some(efforts) = efforts {
-            predictor.write_efforts(steps, command, efforts);
-        }
-        let rod = predictor.changed(&estimate.disturbance);
         let motion = Motion {
-            control: efforts.as_ref(),
+            control: Some(&signal.signal),
             ..motion(rod, grid, &estimate.state)
         };
-        self.sweep.sweep(&motion, trajectory, &|_, visit| {
-            visit_disturbances(&layout, rod, visit);
+        parameters.write(
+            (&motion, trajectory, signal),
+            (steps, disturbance),
+            (predictor, acting, layout),
+        )?;
+        self.sweep.sweep(&motion, trajectory, &|k, visit| {
+            visit_disturbances(layout, rod, visit);
+            parameters.visit(k, visit);
         })?;
+        let [along_state, along_disturbance] = &mut self.transition;
         self.sweep.write(along_state, along_disturbance);
-        self.derive_parameters(steps, command)?;
+        self.keep_slow_parts();
         let [along_state, along_disturbance] = &self.transition;
         self.covariance.predict(along_state, along_disturbance);
         self.add_noise(steps.step * steps.n as f64);
@@ -270,68 +275,37 @@ impl KalmanFilter {
         }
     }
 
-    /// Computes the columns of the parameters by differences of two motions, of which the slow part `S` is kept. For a payload `m` both
-    /// motions have the same velocity `v` of the tip, whose momentum is `p = m v`: with `A` the derivative of the end along the start, the
-    /// column is `B = S(dz/dm - v' e_p) + v' e_p - A v e_p`, with `v'` the velocity at the end.
-    fn derive_parameters(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
-        for (unknown, at) in self.layout.unknowns() {
-            let row = unknown.row();
-            if row.is_load() {
-                continue;
-            }
-            let column = at - self.layout.n_state;
-            let Estimate {
-                state, disturbance, ..
-            } = &self.estimate;
-            let [along_state, along_disturbance] = &mut self.transition;
+    /// Keeps the slow part `S` of the columns of the parameters. A mass is estimated at the known velocity `v` of the tip, not at the known
+    /// momentum `p = m v`, which is larger for a heavier tip (decision 78): with `A` the derivative of the end `z` along the start, `dz/dm` is then
+    /// larger by `A v e_p`, and of it `B = S(dz/dm - v' e_p) + v' e_p - A v e_p` is kept, with `v'` the velocity at the end.
+    fn keep_slow_parts(&mut self) {
+        let tip = self.predictor.model().tip();
+        let mass = self.predictor.rod().nodes[tip].mass;
+        let first_free = self.layout.first_free_node;
+        let [along_state, along_disturbance] = &mut self.transition;
+        let end = &self.next.configuration;
+        for (unknown, column) in parameters(&self.layout) {
             let out = along_disturbance.col_as_slice_mut(column);
-            let change = PARAMETER_CHANGE * (row.scale)(self.predictor.model());
-            let tip = self.predictor.model().tip();
-            // A mass is estimated at the known velocity, not at the known momentum, which is larger for a heavier tip (decision 78).
-            let velocities = (unknown == Unknown::Payload).then(|| {
-                let mass = self.predictor.changed(disturbance).nodes[tip].mass;
-                [&*state, &self.next].map(|state| state.linear_momentum[tip] / mass)
-            });
-            let start = &mut self.point.state;
-            start.clone_from(state);
-            for sign in [-1.0, 1.0] {
-                let mut moved = *disturbance;
-                moved.of_mut(unknown)[0] += sign * change;
-                let mut command = command;
-                if matches!(row.effect, Influence::Commands) {
-                    command = self.acting.later(steps.start, sign * change);
-                }
-                if let Some([velocity, _]) = velocities {
-                    start.linear_momentum[tip] =
-                        state.linear_momentum[tip] + velocity * (sign * change);
-                }
-                (self.predictor).roll_out(start, steps, command, &moved, |_| ())?;
-                let end = self.predictor.end();
-                end.difference_into(&self.next, &mut self.tangent);
-                let tangent = self.tangent.components_from(self.layout.first_free_node);
-                for (out, value) in out.iter_mut().zip(tangent) {
-                    let slope = sign * value / (2.0 * change);
-                    *out = if sign < 0.0 { slope } else { *out + slope };
-                }
-            }
-            let Some([first, last]) = velocities else {
-                self.slow.leave(&self.next.configuration, out);
+            if unknown != Unknown::Payload {
+                self.slow.leave(end, out);
                 continue;
-            };
-            let at = NODE_COMPONENTS * (tip - self.layout.first_free_node) + readings::LINEAR;
-            for axis in 0..3 {
-                out[at + axis] -= last[axis];
             }
-            self.slow.leave(&self.next.configuration, out);
-            for axis in 0..3 {
-                out[at + axis] += last[axis];
-                let along = along_state.col_as_slice(at + axis);
-                for (out, along) in out.iter_mut().zip(along) {
-                    *out -= along * first[axis];
+            let at = NODE_COMPONENTS * (tip - first_free) + readings::LINEAR;
+            let [first, last] =
+                [&self.estimate.state, &self.next].map(|state| state.linear_momentum[tip] / mass);
+            let add = |out: &mut [f64], sign: f64| {
+                for axis in 0..3 {
+                    out[at + axis] -= sign * last[axis];
+                    let along = along_state.col_as_slice(at + axis);
+                    for (out, along) in out.iter_mut().zip(along) {
+                        *out += sign * along * first[axis];
+                    }
                 }
-            }
+            };
+            add(out, 1.0);
+            self.slow.leave(end, out);
+            add(out, -1.0);
         }
-        Ok(())
     }
 
     /// Compares a measurement with the point.

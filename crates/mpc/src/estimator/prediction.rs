@@ -89,11 +89,21 @@ impl Predictor {
 
     /// Returns the model with the corrections of a disturbance.
     pub(super) fn changed(&mut self, disturbance: &Disturbance) -> &Rod {
+        self.change(disturbance);
+        &self.rod
+    }
+
+    /// Corrects the model by a disturbance.
+    pub(super) fn change(&mut self, disturbance: &Disturbance) {
         let parameters = disturbance.parameters();
         if self.parameters != parameters {
             disturbance.change_model(&self.model, &mut self.rod);
             self.parameters = parameters;
         }
+    }
+
+    /// Returns the model with the last corrections.
+    pub(super) fn rod(&self) -> &Rod {
         &self.rod
     }
 
@@ -200,23 +210,43 @@ impl Predictor {
         })
     }
 
-    /// Writes the efforts of a command at the time nodes of some steps, for the linearization of their motion.
-    pub(super) fn write_efforts(&self, steps: Steps, command: &Command, out: &mut ControlSignal) {
-        let n = self.order.n_efforts();
-        if n == 0 {
-            return;
-        }
-        out.inputs.clear();
-        out.inputs.resize(n * (steps.n + 1), 0.0);
-        for (k, efforts) in out.inputs.chunks_exact_mut(n).enumerate() {
-            command.write_efforts_at(steps.time(k), efforts);
+    /// Writes the controls of a command and a disturbance at the time nodes of some steps, on a rod that the disturbance has changed.
+    pub(super) fn write_signal(
+        &self,
+        rod: &Rod,
+        steps: Steps,
+        (command, disturbance): (&Command, &Disturbance),
+        out: &mut MotionSignal,
+    ) {
+        let MotionSignal { signal, room } = out;
+        signal.wrenches.clear();
+        signal.inputs.clear();
+        for k in 0..=steps.n {
+            write_controls(rod, command, steps.time(k), disturbance, room);
+            signal.wrenches.extend_from_slice(&room.wrenches);
+            signal.inputs.extend_from_slice(&room.efforts);
         }
     }
 
-    /// Returns the memory for [`Self::write_efforts`]; `None` for a rod without actuators.
-    pub(super) fn signal_of_efforts(&self) -> Option<ControlSignal> {
-        self.order.signal_of_efforts(0)
+    /// Returns the memory for [`Self::write_signal`].
+    pub(super) fn signal(&self) -> MotionSignal {
+        MotionSignal {
+            signal: ControlSignal {
+                nodes: self.order.nodes.clone(),
+                n_inputs: self.order.n_efforts(),
+                efforts: self.order.efforts.clone(),
+                ..ControlSignal::default()
+            },
+            room: self.order.none(),
+        }
     }
+}
+
+/// The controls of a motion at its time nodes, on all nodes and actuators of the rod.
+#[derive(Clone, Debug)]
+pub(super) struct MotionSignal {
+    pub signal: ControlSignal,
+    room: Controls,
 }
 
 /// Writes the controls of a command and a disturbance at time `t`.

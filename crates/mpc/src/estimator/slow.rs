@@ -26,9 +26,10 @@ use crate::beam::frequencies;
 #[derive(Debug)]
 pub(super) struct SlowPart {
     first_free_node: usize,
-    /// Transposes of the maps of poses and of momenta.
+    /// Maps of poses and of momenta.
     maps: [Mat<f64>; 2],
     room: Vec<f64>,
+    slow: Vec<f64>,
 }
 
 impl SlowPart {
@@ -44,8 +45,9 @@ impl SlowPart {
         let poses = sum.partial_piv_lu().solve(moved);
         Self {
             first_free_node: frames.first_free_node,
-            maps: [poses.transpose().to_owned(), poses],
+            maps: [poses.clone(), poses.transpose().to_owned()],
             room: vec![0.0; n],
+            slow: vec![0.0; n],
         }
     }
 
@@ -61,17 +63,18 @@ impl SlowPart {
                 room[..3].copy_from_slice(moved.as_slice());
                 room[3..].copy_from_slice(&own[3..]);
             }
+            self.slow.fill(0.0);
+            for (j, value) in self.room.iter().enumerate() {
+                for (sum, slope) in self.slow.iter_mut().zip(map.col_as_slice(j)) {
+                    *sum += slope * value;
+                }
+            }
             for (node, rotation) in rotations.iter().enumerate() {
-                let row = |i: usize| -> f64 {
-                    let row = map.col_as_slice(POSE * node + i);
-                    row.iter().zip(&self.room).map(|(a, b)| a * b).sum()
-                };
-                let moved = rotation * Vector3::new(row(0), row(1), row(2));
+                let slow = &self.slow[POSE * node..][..POSE];
+                let moved = rotation * Vector3::from_column_slice(&slow[..3]);
                 let own = &mut change[NODE_COMPONENTS * node + part..][..POSE];
                 own[..3].copy_from_slice(moved.as_slice());
-                for (i, own) in own.iter_mut().enumerate().skip(3) {
-                    *own = row(i);
-                }
+                own[3..].copy_from_slice(&slow[3..]);
             }
         }
     }
