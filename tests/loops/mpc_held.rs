@@ -246,7 +246,7 @@ fn filters_move_between_ends() {
         filter_moves_as_its_model(&model, &command, &[(4, 0), (2, 4), (7, 1)]);
         let start = softarm::mechanics::State::at_rest(model.rest.clone());
         let unknowns = Unknowns::of(&[Unknown::Distributed, Unknown::Stiffness]);
-        let filter =
+        let mut filter =
             KalmanFilter::new(&model, 0.0, &start, &unknowns.settings(&model, 0.01)).unwrap();
         let covariance = filter.covariance();
         let held = 12 * (model.tip() - model.first_free_node());

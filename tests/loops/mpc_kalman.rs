@@ -28,49 +28,71 @@ use softarm::task::{Arm, Discretization};
 
 const PERIOD: f64 = 0.01;
 
-/// The forward sweep that is done again and again gives the numbers of the one that is done once, over any number of steps.
+/// The forward sweep that is done again and again gives the numbers of the one that is done once, over any number of steps of any length, with
+/// any damping, in explicit and in implicit steps.
 #[test]
 fn repeated_sweeps_are_transitions() {
-    let model = rod(&upright(), 5);
-    let start = State::at_rest(model.rest.clone());
-    let mut repeated: Option<RepeatedForward> = None;
-    for n_steps in [3, 40, 7] {
-        let grid = TimeGrid {
-            start: 0.0,
-            step: automatic_step(&model),
-            n_steps,
-        };
-        let mut stepper = Stepper::new(&model, grid, start.clone());
-        let mut trajectory = Trajectory::with_capacity(model.n_nodes(), n_steps + 1);
-        stepper.record(&mut trajectory);
-        let push = [Wrench::from_array([3.0, 1.0, 0.0, 0.0, 0.5, 0.1])];
-        for _ in 0..n_steps {
-            let control = NodeWrenches::on(&[5], &push);
-            stepper.advance([control; 2]).unwrap();
-            stepper.record(&mut trajectory);
+    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+        let mut repeated = None;
+        for (n_steps, longer, viscous, internal) in [
+            (3, 1.0, 0.0, 0.0),
+            (40, 0.7, 1.0, 0.01),
+            (7, 0.9, 5.0, 0.002),
+        ] {
+            let mut model = rod(&upright(), 5);
+            model.scheme = scheme;
+            model.viscous_damping = viscous;
+            let mut step = longer * automatic_step(&model);
+            if scheme == TimeScheme::Implicit {
+                model.internal_damping = internal;
+                step *= 5.0;
+            }
+            check_repeated_sweep(&model, (step, n_steps), &mut repeated);
         }
-        let motion = Motion {
-            rod: &model,
-            grid,
-            initial: &start,
-            stop: None,
-            control: None,
-        };
-        let inputs = [(5, 0), (2, 4)];
-        let once = transition(&motion, &trajectory, 0..n_steps, &inputs, 1).unwrap();
-        let sweep = repeated.get_or_insert_with(|| RepeatedForward::new(&motion, &trajectory, 2));
-        sweep
-            .sweep(&motion, &trajectory, &|_, visit| {
-                for (index, (node, component)) in inputs.iter().enumerate() {
-                    visit(index, *node, *component, 1.0);
-                }
-            })
-            .unwrap();
-        let n = NODE_COMPONENTS * 5;
-        let (mut state, mut input) = (faer::Mat::zeros(n, n), faer::Mat::zeros(n, 2));
-        sweep.write(&mut state, &mut input);
-        assert!(state == once.state && input == once.input, "{n_steps}");
     }
+}
+
+fn check_repeated_sweep(
+    model: &Rod,
+    (step, n_steps): (f64, usize),
+    repeated: &mut Option<RepeatedForward>,
+) {
+    let start = State::at_rest(model.rest.clone());
+    let grid = TimeGrid {
+        start: 0.0,
+        step,
+        n_steps,
+    };
+    let mut stepper = Stepper::new(model, grid, start.clone());
+    let mut trajectory = Trajectory::with_capacity(model.n_nodes(), n_steps + 1);
+    stepper.record(&mut trajectory);
+    let push = [Wrench::from_array([3.0, 1.0, 0.0, 0.0, 0.5, 0.1])];
+    for _ in 0..n_steps {
+        let control = NodeWrenches::on(&[5], &push);
+        stepper.advance([control; 2]).unwrap();
+        stepper.record(&mut trajectory);
+    }
+    let motion = Motion {
+        rod: model,
+        grid,
+        initial: &start,
+        stop: None,
+        control: None,
+    };
+    let inputs = [(5, 0), (2, 4)];
+    let once = transition(&motion, &trajectory, 0..n_steps, &inputs, 1).unwrap();
+    let sweep = repeated.get_or_insert_with(|| RepeatedForward::new(&motion, &trajectory, 2));
+    sweep
+        .sweep(&motion, &trajectory, &|_, visit| {
+            for (index, (node, component)) in inputs.iter().enumerate() {
+                visit(index, *node, *component, 1.0);
+            }
+        })
+        .unwrap();
+    let n = NODE_COMPONENTS * 5;
+    let (mut state, mut input) = (faer::Mat::zeros(n, n), faer::Mat::zeros(n, 2));
+    sweep.write(&mut state, &mut input);
+    assert!(state == once.state && input == once.input, "{n_steps}");
 }
 
 /// Stiffness and inertia of the free nodes at rest, in their frames: by differences of the elastic forces about the shape at rest.
@@ -306,6 +328,56 @@ fn predictions_are_the_linearized_motion() {
     }
 }
 
+/// Between two measurements a covariance is propagated once, along the motions under all commands meanwhile: by the product of their derivatives, along the
+/// state and along loads. What the filter says of the uncertainty of its unknowns in between is that of the covariance.
+#[test]
+fn commands_between_measurements_are_one_motion() {
+    let model = rod(&upright(), 3);
+    let settings = all_disturbances(&model);
+    let state = moving_mildly(&model);
+    let ends = [0.25, 0.4, 1.0].map(|part| part * PERIOD);
+    let commands = |k: usize| {
+        let start = if k == 0 { 0.0 } else { ends[k - 1] };
+        command(&model, start, ends[k])
+    };
+    let mut once = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();
+    let mut singly = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();
+    let mut product: Option<[DMatrix<f64>; 2]> = None;
+    for (k, end) in ends.iter().enumerate() {
+        once.advance(&commands(k), *end).unwrap();
+        singly.advance(&commands(k), *end).unwrap();
+        let [along_state, along_load] = singly.transition();
+        let (along_state, along_load) = (dense(along_state), dense(along_load));
+        product = Some(match product {
+            None => [along_state, along_load],
+            Some([before, loads]) => [&along_state * before, &along_state * loads + along_load],
+        });
+        let [own, expected] = [&once, &singly].map(|filter| filter.estimate().deviation);
+        for unknown in [Unknown::TipForce, Unknown::Payload, Unknown::Viscous] {
+            let (own, expected) = (own.value(unknown), expected.value(unknown));
+            assert!((own - expected).abs() < 1e-12 * expected, "{unknown:?}");
+        }
+    }
+    assert_eq!(once.estimate(), singly.estimate());
+    let [along_state, along_load] = once.transition();
+    let [expected, loads] = product.unwrap();
+    let n_loads = 9;
+    for (found, expected, n) in [
+        (dense(along_state), expected, along_state.ncols()),
+        (dense(along_load), loads, n_loads),
+    ] {
+        for j in 0..n {
+            let (found, expected) = (found.column(j), expected.column(j));
+            let scaled = |row: usize| (found[row] - expected[row]) / scale(&model, row);
+            let size = (0..found.len()).fold(0.0f64, |most, row| {
+                most.max((expected[row] / scale(&model, row)).abs())
+            });
+            let error = (0..found.len()).fold(0.0f64, |most, row| most.max(scaled(row).abs()));
+            assert!(error < 1e-11 * size, "{j}: {error:e} of {size:e}");
+        }
+    }
+}
+
 fn dense(m: &faer::Mat<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)])
 }
@@ -342,7 +414,7 @@ fn predictions_know_the_friction_of_tendons() {
     let act = of_efforts(&model, [0.0, PERIOD], added);
     let mut filter = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();
     filter.advance(&act, PERIOD).unwrap();
-    let [_, along_disturbance] = filter.transition();
+    let [_, along_disturbance] = filter.transition().clone();
     let mut predictor = Predictor::new(&model, settings.longest_step);
     let [minus, plus] = [-STEP, STEP].map(|added| {
         let mut end = state.clone();
@@ -917,7 +989,7 @@ fn parameters_are_not_surer_than_the_filter_says() {
                 seed,
                 ..SensorPreset::Mocap.settings(&model)
             };
-            let filter = follow(&model, &model, truth, &settings, &sensor, 6.0);
+            let mut filter = follow(&model, &model, truth, &settings, &sensor, 6.0);
             let found = filter.estimate().disturbance;
             let error = parameters.map(|of| found.value(of) - truth.value(of));
             let error = DVector::from_column_slice(&error);

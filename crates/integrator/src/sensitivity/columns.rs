@@ -253,9 +253,30 @@ impl<S: Simd> Columns<'_, S> {
         m: &[[f64; N]; N],
         v: [Wide<S, V>; N],
     ) -> [Wide<S, V>; N] {
+        if N != 9 {
+            return self.rows_transposed(m, v, 0);
+        }
+        // Nine sums of several vectors have no room in the registers of AVX2.
+        let near: [Wide<S, V>; 5] = self.rows_transposed(m, v, 0);
+        let far: [Wide<S, V>; 4] = self.rows_transposed(m, v, 5);
         let mut out = [self.zero(); N];
+        for (out, own) in out.iter_mut().zip(near.into_iter().chain(far)) {
+            *out = own;
+        }
+        out
+    }
+
+    /// `R` rows of `Mᵀ v`, from row `first` on.
+    #[inline(always)]
+    fn rows_transposed<const R: usize, const N: usize, const V: usize>(
+        &self,
+        m: &[[f64; N]; N],
+        v: [Wide<S, V>; N],
+        first: usize,
+    ) -> [Wide<S, V>; R] {
+        let mut out = [self.zero(); R];
         for (row, v) in m.iter().zip(v) {
-            for (out, m) in out.iter_mut().zip(row) {
+            for (out, m) in out.iter_mut().zip(&row[first..]) {
                 *out = self.fused(*m, v, *out);
             }
         }

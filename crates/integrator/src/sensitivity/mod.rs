@@ -87,6 +87,10 @@ pub trait ControlColumns: Sync {
     }
     /// Number of leading columns that act at time node `k` or earlier; the others are still zero.
     fn n_started(&self, k: usize) -> usize;
+    /// Number of leading columns on which nothing acts at any time node.
+    fn n_idle(&self) -> usize {
+        0
+    }
 }
 
 /// Columns that change efforts of actuators on the strains, each of which pulls on many nodes.
@@ -519,6 +523,10 @@ impl ControlColumns for ConstantColumns<'_> {
 
     fn n_started(&self, _: usize) -> usize {
         self.n_columns()
+    }
+
+    fn n_idle(&self) -> usize {
+        self.n_states
     }
 }
 

@@ -143,6 +143,26 @@ impl RepeatedForward {
         trajectory: &Trajectory,
         inputs: &InputVisitor,
     ) -> Result<(), StepError> {
+        for (index, tile) in self.tiles.iter_mut().enumerate() {
+            tile.restart();
+            for column in (index * TILE..self.size).take(TILE) {
+                tile.set_unit(self.first_row + column, column % TILE);
+            }
+        }
+        self.go_on(motion, trajectory, inputs)
+    }
+
+    /// Linearizes a motion that goes on from the end of the last one: derivatives are those along the start of the first motion, and along the inputs
+    /// of all. After an error where the motion has at most 15 steps, they are those before the call.
+    ///
+    /// # Errors
+    /// As [`Self::sweep`].
+    pub fn go_on(
+        &mut self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        inputs: &InputVisitor,
+    ) -> Result<(), StepError> {
         let columns = ConstantColumns {
             n_states: self.size,
             n_inputs: self.n_inputs,
@@ -150,12 +170,6 @@ impl RepeatedForward {
         };
         let task = task(motion, trajectory, &columns, &[]);
         let arch = instructions();
-        for (index, tile) in self.tiles.iter_mut().enumerate() {
-            tile.restart();
-            for column in (index * TILE..self.size).take(TILE) {
-                tile.set_unit(self.first_row + column, column % TILE);
-            }
-        }
         let n_times = motion.grid.n_steps + 1;
         let along = whole(motion, trajectory);
         for start in (0..n_times).step_by(PIECE) {
@@ -182,9 +196,7 @@ impl RepeatedForward {
                 None => state.col_as_slice_mut(column),
                 Some(index) => input.col_as_slice_mut(index),
             };
-            for (row, out) in out.iter_mut().take(self.size).enumerate() {
-                *out = tile.component(self.first_row + row, column % TILE);
-            }
+            tile.write_column(self.first_row, column % TILE, &mut out[..self.size]);
         }
     }
 }

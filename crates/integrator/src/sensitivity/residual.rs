@@ -297,6 +297,7 @@ impl Memory {
             }
         }
         if let Some(solve) = &mut self.workspace.solve {
+            solve.retune(motion);
             for lane in 0..n_lanes {
                 let k = (start + lane).min(n_steps);
                 let ends = [k < n_steps, k > 0];

@@ -153,6 +153,14 @@ impl<'a> Tile<'a> {
         self.data[row * TILE + column]
     }
 
+    /// Writes the components of one column from row `first` on.
+    pub fn write_column(&self, first: usize, column: usize, out: &mut [f64]) {
+        let rows = self.data[first * TILE..].chunks_exact(TILE);
+        for (out, row) in out.iter_mut().zip(rows) {
+            *out = row[column];
+        }
+    }
+
     /// Lets one column begin as a unit of component `row`.
     pub fn set_unit(&mut self, row: usize, column: usize) {
         self.data[row * TILE + column] = 1.0;
@@ -266,6 +274,9 @@ impl<'a> Tile<'a> {
                     data[(row + 3) * TILE + column] += angular[node][axis];
                 }
             }
+        }
+        if first + TILE <= n_sources + task.columns.n_idle() {
+            return;
         }
         task.columns
             .visit(k, &mut |column, node, component, weight| {

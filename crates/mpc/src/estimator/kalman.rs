@@ -14,7 +14,7 @@ use mechanics::beam::Beam;
 use mechanics::forms::NODE_COMPONENTS;
 use mechanics::linearization::{Motion, StateTangent};
 use mechanics::rotation::orthonormalized;
-use mechanics::sensitivity::RepeatedForward;
+use mechanics::sensitivity::{InputVisitor, RepeatedForward};
 use mechanics::strain_coordinates::{ShapeTransport, shape_difference};
 use mechanics::{Configuration, EnergyNorm, Rod, State, TimeGrid, Trajectory};
 
@@ -43,7 +43,8 @@ const LINEAR: f64 = 0.5;
 /// Largest angle, rad, by which one linearization of a measurement may bend or twist an element: as much as an element resolves
 /// (`control/advice.rs`). The first 0.6 s of `mpc-reach` are the same with half and with twice the value.
 const FARTHEST_TURN: f64 = 0.5;
-/// Steps that are linearized together: with the last time node they fill the vectors of the kernels.
+/// Steps that are linearized together, and after which the covariance is propagated: with the last time node they fill the vectors of the
+/// kernels.
 const MOST_STEPS: usize = 15;
 
 /// An extended Kalman filter whose error is `(δx, ζ, δp, δπ)` of every free node, and that of the disturbances.
@@ -73,8 +74,10 @@ pub struct KalmanFilter {
     /// Controls along the motion.
     signal: MotionSignal,
     parameters: ParameterSources,
-    /// Derivatives of the end of a motion along its start and along the disturbances.
+    /// Derivatives of the end of the last motion with which the covariance was propagated, along its start and along the disturbances.
     transition: [Mat<f64>; 2],
+    /// The motions with which it is still to be propagated.
+    pending: Option<Pending>,
     comparison: Comparison,
     /// Map of the poses' errors from one shape to another; `None` where the tip is held.
     transport: Option<ShapeTransport>,
@@ -93,6 +96,17 @@ pub struct KalmanFilter {
     /// Time of the last correction, and between it and the one before, s.
     corrected_at: f64,
     interval: f64,
+}
+
+/// Motions one after the other, each under a command of its own, whose derivatives the sweep has: the covariance is propagated along all of
+/// them at once.
+#[derive(Clone, Copy, Debug)]
+struct Pending {
+    n_steps: usize,
+    /// Their duration, s.
+    duration: f64,
+    /// Velocity of the tip at their start, m/s.
+    velocity: Vector3<f64>,
 }
 
 impl std::fmt::Debug for KalmanFilter {
@@ -152,6 +166,7 @@ impl KalmanFilter {
             at_rest,
             predictor,
             sweep: RepeatedForward::new(&motion, &trajectory, layout.n_disturbances()),
+            pending: None,
             trajectory,
             transition: [layout.n_state, layout.n_disturbances()]
                 .map(|columns| Mat::zeros(layout.n_state, columns)),
@@ -176,14 +191,16 @@ impl KalmanFilter {
     /// Returns the covariance of the error: of `(δx, ζ, δp, δπ)` of every free node, node by node, then of the components of the
     /// unknowns that are estimated, in the order of [`Unknown::TABLE`].
     #[must_use]
-    pub fn covariance(&self) -> &Mat<f64> {
+    pub fn covariance(&mut self) -> &Mat<f64> {
+        self.propagate();
         &self.covariance.matrix
     }
 
-    /// Returns the derivatives of the last motion's end along its start, and along the disturbances, with respect to the components of the
-    /// covariance; of its last 15 steps.
+    /// Returns the derivatives of the end of a motion along its start, and along the disturbances, with respect to the components of the
+    /// covariance: of the motion since the last measurement, or of its last steps, at least 15 of them if there were so many.
     #[must_use]
-    pub fn transition(&self) -> &[Mat<f64>; 2] {
+    pub fn transition(&mut self) -> &[Mat<f64>; 2] {
+        self.propagate();
         &self.transition
     }
 
@@ -250,26 +267,58 @@ impl KalmanFilter {
             (steps, disturbance),
             (predictor, acting, layout),
         )?;
-        self.sweep.sweep(&motion, trajectory, &|k, visit| {
+        let inputs: &InputVisitor = &|k, visit| {
             visit_disturbances(layout, rod, visit);
             parameters.visit(k, visit);
-        })?;
+        };
+        let tip = rod.tip();
+        let velocity = estimate.state.linear_momentum[tip] / rod.nodes[tip].mass;
+        let pending = match self.pending {
+            None => {
+                self.sweep.sweep(&motion, trajectory, inputs)?;
+                Pending {
+                    n_steps: 0,
+                    duration: 0.0,
+                    velocity,
+                }
+            }
+            Some(pending) => {
+                self.sweep.go_on(&motion, trajectory, inputs)?;
+                pending
+            }
+        };
+        let pending = Pending {
+            n_steps: pending.n_steps + steps.n,
+            duration: pending.duration + steps.step * steps.n as f64,
+            ..pending
+        };
+        self.pending = Some(pending);
+        std::mem::swap(&mut self.estimate.state, &mut self.next);
+        if pending.n_steps >= MOST_STEPS {
+            self.propagate();
+        }
+        Ok(())
+    }
+
+    /// Propagates the covariance along the motions since it was propagated last.
+    fn propagate(&mut self) {
+        let Some(pending) = self.pending.take() else {
+            return;
+        };
         let [along_state, along_disturbance] = &mut self.transition;
         self.sweep.write(along_state, along_disturbance);
-        self.keep_slow_parts();
+        self.keep_slow_parts(pending.velocity);
         let [along_state, along_disturbance] = &self.transition;
         self.covariance.predict(along_state, along_disturbance);
-        self.add_noise(steps.step * steps.n as f64);
+        self.add_noise(pending.duration);
         self.covariance.commit();
-        std::mem::swap(&mut self.estimate.state, &mut self.next);
-        Ok(())
     }
 
     /// Adds to the next covariance the noise of unknown forces and random walks within `duration` (s), at the present state.
     fn add_noise(&mut self, duration: f64) {
         let energy = energy(self.predictor.model(), self.settings.change) * duration;
         let covariance = self.covariance.next_mut();
-        (self.unknown_forces).add(energy, &self.next.configuration, covariance);
+        (self.unknown_forces).add(energy, &self.estimate.state.configuration, covariance);
         for (i, walk) in walks(&self.settings, &self.layout) {
             covariance[(i, i)] += walk.change * walk.change * duration;
         }
@@ -278,21 +327,19 @@ impl KalmanFilter {
     /// Keeps the slow part `S` of the columns of the parameters. A mass is estimated at the known velocity `v` of the tip, not at the known
     /// momentum `p = m v`, which is larger for a heavier tip (decision 78): with `A` the derivative of the end `z` along the start, `dz/dm` is then
     /// larger by `A v e_p`, and of it `B = S(dz/dm - v' e_p) + v' e_p - A v e_p` is kept, with `v'` the velocity at the end.
-    fn keep_slow_parts(&mut self) {
-        let tip = self.predictor.model().tip();
-        let mass = self.predictor.rod().nodes[tip].mass;
-        let first_free = self.layout.first_free_node;
+    fn keep_slow_parts(&mut self, velocity: Vector3<f64>) {
+        let rod = self.predictor.rod();
+        let tip = rod.tip();
+        let end = &self.estimate.state;
+        let [first, last] = [velocity, end.linear_momentum[tip] / rod.nodes[tip].mass];
+        let at = NODE_COMPONENTS * (tip - self.layout.first_free_node) + readings::LINEAR;
         let [along_state, along_disturbance] = &mut self.transition;
-        let end = &self.next.configuration;
         for (unknown, column) in parameters(&self.layout) {
             let out = along_disturbance.col_as_slice_mut(column);
             if unknown != Unknown::Payload {
-                self.slow.leave(end, out);
+                self.slow.leave(&end.configuration, out);
                 continue;
             }
-            let at = NODE_COMPONENTS * (tip - first_free) + readings::LINEAR;
-            let [first, last] =
-                [&self.estimate.state, &self.next].map(|state| state.linear_momentum[tip] / mass);
             let add = |out: &mut [f64], sign: f64| {
                 for axis in 0..3 {
                     out[at + axis] -= sign * last[axis];
@@ -303,7 +350,7 @@ impl KalmanFilter {
                 }
             };
             add(out, 1.0);
-            self.slow.leave(end, out);
+            self.slow.leave(&end.configuration, out);
             add(out, -1.0);
         }
     }
@@ -441,13 +488,17 @@ impl KalmanFilter {
         self.estimate.disturbance = self.point.disturbance;
     }
 
-    /// Writes the standard deviations of the disturbances from the covariance.
+    /// Writes the standard deviations of the disturbances from the covariance, as their random walks let them grow since it was propagated.
     fn write_deviation(&mut self) {
         let deviation = &mut self.estimate.deviation;
         *deviation = Disturbance::ZERO;
+        let duration = self.pending.map_or(0.0, |own| own.duration);
         for (unknown, at) in self.layout.unknowns() {
+            let walk = self.settings.walks[unknown as usize];
+            let grown = walk.map_or(0.0, |own| own.change * own.change * duration);
             for (i, out) in deviation.of_mut(unknown).iter_mut().enumerate() {
-                *out = self.covariance.matrix[(at + i, at + i)].max(0.0).sqrt();
+                let known = self.covariance.matrix[(at + i, at + i)];
+                *out = (known + grown).max(0.0).sqrt();
             }
         }
     }
@@ -465,6 +516,7 @@ impl Estimator for KalmanFilter {
         };
         let several = steps.n > MOST_STEPS;
         if several {
+            self.propagate();
             self.before.0.state.clone_from(&self.estimate.state);
             self.before.1.copy_from(&self.covariance.matrix);
         }
@@ -472,6 +524,7 @@ impl Estimator for KalmanFilter {
             let outcome = self.carry(steps.part(first, MOST_STEPS), command);
             if outcome.is_err() {
                 if several {
+                    self.pending = None;
                     self.estimate.state.clone_from(&self.before.0.state);
                     self.covariance.matrix.copy_from(&self.before.1);
                 }
@@ -485,6 +538,7 @@ impl Estimator for KalmanFilter {
 
     fn correct(&mut self, measurement: &Measurement) -> Result<Innovation, EstimateError> {
         check_time(measurement.time, self.estimate.time)?;
+        self.propagate();
         self.point.time = self.estimate.time;
         self.point.state.clone_from(&self.estimate.state);
         self.point.disturbance = self.estimate.disturbance;
@@ -535,6 +589,7 @@ impl Estimator for KalmanFilter {
     fn restart(&mut self, time: f64, state: &State) -> Result<(), MpcError> {
         let model = self.predictor.model();
         check_start(model, time, state)?;
+        self.pending = None;
         self.estimate.time = time;
         self.estimate.state.clone_from(state);
         self.estimate.disturbance = Disturbance::NONE;

@@ -55,15 +55,26 @@ impl SolveRows {
     pub fn of(motion: &Motion, n_lanes: usize) -> Option<Self> {
         let weights = IntervalWeights::of(motion.rod, motion.grid.step)?;
         let (n_nodes, n_elements) = (motion.rod.n_nodes(), motion.rod.n_elements());
-        let undamped = motion.arriving_impulse();
-        Some(Self {
+        let mut out = Self {
             spins: Buffer::zeros(n_nodes * SPIN_ROWS * n_lanes),
             couplings: Buffer::zeros(n_elements * COUPLING_ROWS * n_lanes),
             weights: Buffer::zeros(WEIGHT_ROWS * n_lanes),
             rates: weights,
-            ratio: weights.start / weights.end * undamped / motion.kick(0).impulse,
-            even_ratio: undamped / motion.kick(0).impulse,
-        })
+            ratio: 0.0,
+            even_ratio: 0.0,
+        };
+        out.retune(motion);
+        Some(out)
+    }
+
+    /// Adapts the weights to the damping and to the step of a motion, which may be others than those of the motion before.
+    pub fn retune(&mut self, motion: &Motion) {
+        let Some(weights) = IntervalWeights::of(motion.rod, motion.grid.step) else {
+            return;
+        };
+        self.rates = weights;
+        self.even_ratio = motion.arriving_impulse() / motion.kick(0).impulse;
+        self.ratio = weights.start / weights.end * self.even_ratio;
     }
 }
 
@@ -228,6 +239,9 @@ impl Group<'_> {
         let n_nodes = self.along.motion.rod.n_nodes();
         let n_elements = self.along.motion.rod.n_elements();
         let n_free = n_nodes - self.along.motion.rod.first_free_node();
+        if let Some(solve) = &mut self.workspace.solve {
+            solve.retune(self.along.motion);
+        }
         for lane in 0..n_lanes {
             let k = self.time_node(lane);
             let kick = self.kick(k);
