@@ -164,17 +164,18 @@ const PARAMETER_WALK: f64 = 0.05;
 const UNKNOWN_FORCES: f64 = 0.005;
 
 impl Unknowns {
-    /// Creates a filter for a loop with this period (s), at time 0 in a state of a model, whose steps are no longer than `step` (s), if that
-    /// is given.
+    /// Creates a filter for a loop with this period, in which a command acts by this lead after the beginning of its sample (s), at time 0 in a
+    /// state of a model, whose steps are no longer than `step` (s), if that is given.
     fn filter(
         self,
         model: &Rod,
         start: &State,
         step: Option<f64>,
-        period: f64,
+        [period, lead]: [f64; 2],
     ) -> Result<Box<dyn Estimator>, MpcError> {
         let settings = KalmanSettings {
             longest_step: longest_step(model, step).map_err(MpcError::EstimatorStep)?,
+            earliest: period + lead,
             ..self.settings(model, period)
         };
         Ok(Box::new(KalmanFilter::new(model, 0.0, start, &settings)?))
@@ -494,9 +495,9 @@ impl Experiment {
             return Ok(None);
         };
         let (model, start) = (controller.rod(), controller.initial());
-        let period = controller.settings().period;
+        let times = [controller.settings().period, self.settings.lead()];
         let Some(elements) = elements.filter(|own| *own != model.n_elements()) else {
-            return unknowns.filter(model, start, *step, period).map(Some);
+            return unknowns.filter(model, start, *step, times).map(Some);
         };
         let own = Discretization {
             elements,
@@ -506,7 +507,7 @@ impl Experiment {
         };
         let own = self.arm.rod(&own).map_err(DiscretizeError::from)?;
         let start = Transfer::new(model, &own).state(start);
-        let estimator = unknowns.filter(&own, &start, *step, period)?;
+        let estimator = unknowns.filter(&own, &start, *step, times)?;
         Ok(Some(Box::new(Regridded::new(model, &own, estimator))))
     }
 

@@ -398,14 +398,13 @@ impl KalmanFilter {
     /// corrected covariance (projection of the estimate; Simon 2010, section 2.3). Clamping a parameter alone would leave the correlated
     /// errors unchanged, and bias them at every measurement.
     fn stay_in_range(&mut self) {
-        let model = self.predictor.model();
         for _ in 0..RANGE_PASSES {
             for (unknown, at) in self.layout.unknowns() {
                 let row = unknown.row();
                 if row.is_load() {
                     continue;
                 }
-                let [least, most] = (row.range)(model);
+                let [least, most] = range_of(&self.settings, self.predictor.model(), unknown);
                 let own = self.point.disturbance.value(unknown);
                 let found = own + self.covariance.correction[at];
                 self.covariance.shift(at, found.clamp(least, most) - found);
@@ -466,7 +465,7 @@ impl KalmanFilter {
         there.positions[..first].copy_from_slice(&here.positions[..first]);
         there.rotations[..first].copy_from_slice(&here.rotations[..first]);
         for (unknown, at) in self.layout.unknowns() {
-            let [least, most] = (unknown.row().range)(self.predictor.model());
+            let [least, most] = range_of(&self.settings, self.predictor.model(), unknown);
             let values = disturbance.of_mut(unknown).iter_mut();
             for (value, change) in values.zip(&correction[at..]) {
                 *value = (*value + change).clamp(least, most);
@@ -610,6 +609,16 @@ impl Estimator for KalmanFilter {
         }
         self.write_deviation();
         Ok(())
+    }
+}
+
+/// Returns the least and the largest estimate of an unknown.
+fn range_of(settings: &KalmanSettings, model: &Rod, unknown: Unknown) -> [f64; 2] {
+    let [least, most] = (unknown.row().range)(model);
+    if unknown == Unknown::Delay {
+        [least.max(-settings.earliest), most]
+    } else {
+        [least, most]
     }
 }
 

@@ -40,6 +40,9 @@ pub struct KalmanSettings {
     pub model_error: bool,
     /// Longest time step of the model, s.
     pub longest_step: f64,
+    /// Longest time by which commands may be found to act earlier than the filter is told, s. Beyond the time for which commands are known ahead, an
+    /// estimate of the delay changes nothing, so that no measurement corrects it: a loop knows them for a period and for its lead.
+    pub earliest: f64,
 }
 
 impl KalmanSettings {
@@ -54,6 +57,7 @@ impl KalmanSettings {
             refuses: false,
             model_error: false,
             longest_step: automatic_step(model),
+            earliest: f64::INFINITY,
         }
     }
 
@@ -95,6 +99,9 @@ impl KalmanSettings {
             |name, value: f64| setting(name, value, value > 0.0, "a positive finite number");
         positive("longest_step", self.longest_step)?;
         positive("initial", self.initial)?;
+        if self.earliest.is_nan() || self.earliest < 0.0 {
+            at_least_zero("earliest", self.earliest)?;
+        }
         at_least_zero("change", self.change)?;
         for unknown in Unknown::all() {
             if let Some(walk) = self.walk(unknown) {
