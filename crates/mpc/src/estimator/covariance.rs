@@ -189,6 +189,19 @@ impl Covariance {
         mirror(&mut self.next);
     }
 
+    /// Adds to the next matrix the covariance that an unknown of the present one makes along a direction of the state, which is scaled by its standard
+    /// deviation; their correlation is left out.
+    pub fn consider(&mut self, unknown: usize, direction: &mut [f64]) {
+        let deviation = self.matrix[(unknown, unknown)].max(0.0).sqrt();
+        direction.iter_mut().for_each(|own| *own *= deviation);
+        for (j, own) in direction.iter().enumerate() {
+            let column = self.next.col_as_slice_mut(j);
+            for (sum, value) in column.iter_mut().zip(direction.iter()) {
+                *sum += own * value;
+            }
+        }
+    }
+
     /// Returns the matrix after a motion, to which noise is added.
     pub fn next_mut(&mut self) -> &mut Mat<f64> {
         &mut self.next

@@ -58,7 +58,8 @@ const MOST_STEPS: usize = 15;
 /// Bell and Cathey 1993), so that the arm is found from far as well.
 ///
 /// The error is propagated by the exact linearization of the integrator's own steps. Along the parameters of the model and of its commands the
-/// slow part of that is kept: the effect of a wrong parameter on modes up to the fifth bending mode. Every disturbance is a random walk. A standard deviation of 0 is replaced by 1e-6 of the arm's own scales.
+/// slow part of that is kept, the effect of a wrong parameter on modes up to the fifth bending mode, and the rest is noise as large as the
+/// parameter is uncertain. Every disturbance is a random walk. A standard deviation of 0 is replaced by 1e-6 of the arm's own scales.
 ///
 /// No call after the first of its kind allocates memory if steps are explicit.
 pub struct KalmanFilter {
@@ -76,6 +77,8 @@ pub struct KalmanFilter {
     parameters: ParameterSources,
     /// Derivatives of the end of the last motion with which the covariance was propagated, along its start and along the disturbances.
     transition: [Mat<f64>; 2],
+    /// Of the columns of the parameters, the parts that are left out.
+    fast_parts: Vec<Vec<f64>>,
     /// The motions with which it is still to be propagated.
     pending: Option<Pending>,
     comparison: Comparison,
@@ -167,6 +170,9 @@ impl KalmanFilter {
             predictor,
             sweep: RepeatedForward::new(&motion, &trajectory, layout.n_disturbances()),
             pending: None,
+            fast_parts: (parameters(&layout))
+                .map(|_| vec![0.0; layout.n_state])
+                .collect(),
             trajectory,
             transition: [layout.n_state, layout.n_disturbances()]
                 .map(|columns| Mat::zeros(layout.n_state, columns)),
@@ -310,6 +316,9 @@ impl KalmanFilter {
         self.keep_slow_parts(pending.velocity);
         let [along_state, along_disturbance] = &self.transition;
         self.covariance.predict(along_state, along_disturbance);
+        for ((_, column), fast) in parameters(&self.layout).zip(&mut self.fast_parts) {
+            (self.covariance).consider(self.layout.n_state + column, fast);
+        }
         self.add_noise(pending.duration);
         self.covariance.commit();
     }
@@ -326,7 +335,8 @@ impl KalmanFilter {
 
     /// Keeps the slow part `S` of the columns of the parameters. A mass is estimated at the known velocity `v` of the tip, not at the known
     /// momentum `p = m v`, which is larger for a heavier tip (decision 78): with `A` the derivative of the end `z` along the start, `dz/dm` is then
-    /// larger by `A v e_p`, and of it `B = S(dz/dm - v' e_p) + v' e_p - A v e_p` is kept, with `v'` the velocity at the end.
+    /// larger by `A v e_p`, and of it `B = S(dz/dm - v' e_p) + v' e_p - A v e_p` is kept, with `v'` the velocity at the end. The other part of a column,
+    /// the fast one, is not estimated with; it is noise whose size is that of the parameter's error (Schmidt 1966: a considered parameter).
     fn keep_slow_parts(&mut self, velocity: Vector3<f64>) {
         let rod = self.predictor.rod();
         let tip = rod.tip();
@@ -334,12 +344,10 @@ impl KalmanFilter {
         let [first, last] = [velocity, end.linear_momentum[tip] / rod.nodes[tip].mass];
         let at = NODE_COMPONENTS * (tip - self.layout.first_free_node) + readings::LINEAR;
         let [along_state, along_disturbance] = &mut self.transition;
-        for (unknown, column) in parameters(&self.layout) {
+        let columns = parameters(&self.layout).zip(&mut self.fast_parts);
+        for ((unknown, column), fast) in columns {
             let out = along_disturbance.col_as_slice_mut(column);
-            if unknown != Unknown::Payload {
-                self.slow.leave(&end.configuration, out);
-                continue;
-            }
+            let is_mass = unknown == Unknown::Payload;
             let add = |out: &mut [f64], sign: f64| {
                 for axis in 0..3 {
                     out[at + axis] -= sign * last[axis];
@@ -349,9 +357,15 @@ impl KalmanFilter {
                     }
                 }
             };
-            add(out, 1.0);
+            if is_mass {
+                add(out, 1.0);
+            }
+            fast.copy_from_slice(out);
             self.slow.leave(&end.configuration, out);
-            add(out, -1.0);
+            (fast.iter_mut().zip(&*out)).for_each(|(fast, slow)| *fast -= slow);
+            if is_mass {
+                add(out, -1.0);
+            }
         }
     }
 

@@ -72,7 +72,10 @@ impl ParameterSources {
             return Ok(());
         }
         let found = self.defects.evaluate(motion, trajectory, &own.signal)?;
-        self.own.clone_from(found);
+        self.own.linear.clone_from(&found.linear);
+        self.own.angular.clone_from(&found.angular);
+        (self.own.terminal_linear).clone_from(&found.terminal_linear);
+        (self.own.terminal_angular).clone_from(&found.terminal_angular);
         let model = predictor.model();
         for (unknown, _) in parameters(layout) {
             let row = unknown.row();
