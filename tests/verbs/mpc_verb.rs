@@ -750,6 +750,7 @@ rate = 0.003
 period_s = 0.02
 counted_from_s = 0.5
 [plant]
+elements = 24
 stiffness_factor = 0.8
 [[sensor]]
 preset = "mocap"

@@ -273,6 +273,10 @@ impl KalmanFilter {
             (steps, disturbance),
             (predictor, acting, layout),
         )?;
+        let motion = Motion {
+            rod: predictor.least_damped(),
+            ..motion
+        };
         let inputs: &InputVisitor = &|k, visit| {
             visit_disturbances(layout, rod, visit);
             parameters.visit(k, visit);

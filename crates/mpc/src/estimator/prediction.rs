@@ -12,6 +12,8 @@ pub struct Predictor {
     model: Rod,
     /// The model with the corrections of a disturbance, and their values.
     rod: Rod,
+    /// The same with no more internal damping than the model.
+    least_damped: Rod,
     parameters: ModelParameters,
     longest_step: f64,
     motions: Motions,
@@ -54,6 +56,7 @@ impl Predictor {
         Self {
             motions: Motions::new(model, longest_step, Disturbance::NONE.parameters()),
             rod: model.clone(),
+            least_damped: model.clone(),
             parameters: Disturbance::NONE.parameters(),
             model: model.clone(),
             longest_step,
@@ -98,6 +101,9 @@ impl Predictor {
         let parameters = disturbance.parameters();
         if self.parameters != parameters {
             disturbance.change_model(&self.model, &mut self.rod);
+            disturbance.change_model(&self.model, &mut self.least_damped);
+            let least = self.model.internal_damping.min(self.rod.internal_damping);
+            self.least_damped.internal_damping = least;
             self.parameters = parameters;
         }
     }
@@ -105,6 +111,12 @@ impl Predictor {
     /// Returns the model with the last corrections.
     pub(super) fn rod(&self) -> &Rod {
         &self.rod
+    }
+
+    /// Returns the same with no more internal damping than the model has. Of an internal damping that is estimated nobody knows that it is there; it
+    /// would let the errors of all fast waves die out.
+    pub(super) fn least_damped(&self) -> &Rod {
+        &self.least_damped
     }
 
     /// Returns the state at the end of the last motion.
