@@ -9,12 +9,15 @@ use crate::error::MpcError;
 
 /// Part of a run after which its last part begins, in which an error that grows shows.
 const LAST: f64 = 0.75;
+/// Quotient of the errors (rms) over the last quarter of a run and over all of it, from which an error grows: that of one which doubles exponentially in
+/// the run. Of errors that do not grow it is one, give or take what noise makes in a quarter, by which no gains must be told from others.
+const GROWN: f64 = 1.25;
 
 /// A trial of gains.
 #[derive(Clone, Copy, Debug)]
 struct Trial {
     gains: TipGains,
-    /// Tells whether the error grows: over the last quarter of the run it is larger than over all that counts.
+    /// Tells whether the error grows: it is larger over the last quarter of the run than over all that counts, by [`GROWN`].
     grows: bool,
     /// Root mean square of the error from the time on from which errors count, m.
     error: f64,
@@ -84,7 +87,7 @@ impl Experiment {
         let is_done = found.broke_down.is_none() && error.is_finite();
         Ok(is_done.then_some(Trial {
             gains,
-            grows: last > error,
+            grows: last > GROWN * error,
             error,
         }))
     }
