@@ -333,7 +333,7 @@ impl KalmanFilter {
         let covariance = self.covariance.next_mut();
         (self.unknown_forces).add(energy, &self.estimate.state.configuration, covariance);
         for (i, walk) in walks(&self.settings, &self.layout) {
-            covariance[(i, i)] += walk.change * walk.change * duration;
+            covariance[(i, i)] += walk.growth(duration);
         }
     }
 
@@ -512,7 +512,7 @@ impl KalmanFilter {
         let duration = self.pending.map_or(0.0, |own| own.duration);
         for (unknown, at) in self.layout.unknowns() {
             let walk = self.settings.walks[unknown as usize];
-            let grown = walk.map_or(0.0, |own| own.change * own.change * duration);
+            let grown = walk.map_or(0.0, |own| own.growth(duration));
             for (i, out) in deviation.of_mut(unknown).iter_mut().enumerate() {
                 let known = self.covariance.matrix[(at + i, at + i)];
                 *out = (known + grown).max(0.0).sqrt();

@@ -15,6 +15,14 @@ pub struct RandomWalk {
     pub change: f64,
 }
 
+impl RandomWalk {
+    /// Returns the variance that it gains within a time (s), in the square of the unit of the quantity.
+    #[must_use]
+    pub fn growth(&self, duration: f64) -> f64 {
+        self.change * self.change * duration
+    }
+}
+
 /// Settings of a [`KalmanFilter`](super::KalmanFilter).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalmanSettings {
