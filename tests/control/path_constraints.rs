@@ -706,7 +706,7 @@ fn hanging_arms_are_told_what_a_target_takes() {
 fn shapes_within_the_limits_are_not_refused() {
     use softarm::mechanics::rotation::{exp, quaternion};
     let mut dice = Dice(17);
-    for trial in 0..100 {
+    for trial in 0..60 {
         let [curvature, twist] = [3.0, 2.0].map(|most| most * (1.0 + dice.roll()) + 0.05);
         let strain = if trial % 2 == 0 { 0.0 } else { 0.29 };
         let mut x = Vector3::zeros();

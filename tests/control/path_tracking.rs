@@ -199,7 +199,7 @@ position_m = [0.3, 0.0, 0.05]
 orientation_wxyz = [{}, 0.0, {}, 0.0]
 at_rest = \"tip\"
 [control]
-blocks = 12
+blocks = 6
 force_max_n = 5.0
 moment_max_n_m = 1.0
 ",

@@ -64,7 +64,7 @@ fn largest(solution: &Solution, node: usize) -> f64 {
 #[test]
 fn hard_limits_are_active() {
     let free = solved("");
-    for (more, node, max, is_fine_enough) in [("", 8, 0.5, true), ("node = 0.5", 4, 0.3, false)] {
+    for (more, node, max, is_fine_enough) in [("", 8, 0.5, true), ("node = 0.5", 4, 0.4, false)] {
         let with = solved(&tilt(max, more));
         let [angle, without] = [&with, &free].map(|solution| largest(solution, node));
         assert!(without > max + 0.1, "{without}");

@@ -89,6 +89,7 @@ fn minima_are_those_of_projected_gradients() {
         let step = 1.0 / (0..n).map(|i| program.hessian[(i, i)]).sum::<f64>();
         let mut other = vec![0.0; n];
         for _ in 0..100_000 {
+            let before = other.clone();
             let mut slopes = vec![0.0; n];
             slope(&program.hessian, &g, &other, &mut slopes);
             for i in 0..n {
@@ -105,6 +106,9 @@ fn minima_are_those_of_projected_gradients() {
             }
             for i in 6..12 {
                 other[i] = (other[i] + a[i]).clamp(-0.7, 0.7) - a[i];
+            }
+            if other == before {
+                break;
             }
         }
         let cost = |x: &[f64]| -> f64 {

@@ -471,7 +471,7 @@ fn scene() -> impl Strategy<Value = String> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 1000, max_shrink_iters: 200, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 500, max_shrink_iters: 200, ..ProptestConfig::default() })]
 
     /// Whatever the magnitudes: the scene is refused, or its simulation takes steps to finite states, or it ends in an error
     /// that says where and what now. Never a panic, never a number that is none.

@@ -234,9 +234,11 @@ fn doubt_that_says_nothing_is_refused() {
 #[test]
 fn loops_run_on_drawn_plants() {
     let desk = Desk::holding("");
+    let (loop_alone, _) = BENT.split_once("[doubt]").unwrap();
+    fs::write(desk.path("bent.toml"), loop_alone).unwrap();
     let line = |least: f64, most: f64, more: &str| {
         format!(
-            "mpc mpc-obstacle --set time.end_s=1.0 --set doubt.plants=5 --set doubt.number.0.key=plant.stiffness_factor \
+            "mpc bent.toml --set doubt.plants=5 --set doubt.number.0.key=plant.stiffness_factor \
              --set doubt.number.0.range=[{least:?},{most:?}] --out run{least} {more}"
         )
     };
@@ -246,7 +248,7 @@ fn loops_run_on_drawn_plants() {
         (number(&doubt["plants"]), number(&doubt["failed"])),
         (5.0, 0.0)
     );
-    assert_eq!(doubt["limits"][0]["name"], "ball");
+    assert_eq!(doubt["limits"][0]["name"], "bend");
     let rms = number(&none["tip_error_m"]["rms"]);
     let [median, largest] = ["median_m", "largest_m"].map(|key| number(&doubt["goal"][key]));
     assert!(0.5 * rms < median && largest < 2.0 * rms, "{rms} {doubt}");
@@ -296,7 +298,7 @@ viscous_1_s = 2.0
 [initial]
 shape = \"equilibrium\"
 [time]
-end_s = 1.4
+end_s = 1.0
 [control]
 force_max_n = 2.0
 moment_max_n_m = [0.1, 0.1, 0.0]
@@ -310,7 +312,7 @@ name = \"bend\"
 curvature_max_1_m = 3.0
 [mpc]
 period_s = 0.02
-horizon_s = 0.4
+horizon_s = 0.24
 counted_from_s = 0.5
 [plant]
 elements = 12
@@ -400,14 +402,14 @@ fn numbers_have_covariances() {
 }
 
 /// Margins from nine earlier runs, on plants that nobody drew for this purpose, keep most of twelve further runs of the same kind within the
-/// limit that all of them leave without, and cost no run of their own; the scene of the result has them as numbers.
+/// limit that most of them leave without, and cost no run of their own; the scene of the result has them as numbers.
 #[test]
 fn loops_learn_their_margins_from_earlier_runs() {
     let desk = Desk::holding("");
     let (loop_alone, _) = BENT.split_once("[doubt]").unwrap();
     fs::write(desk.path("bent.toml"), loop_alone).unwrap();
     // Low-discrepancy stiffnesses; every run has noise of its own.
-    let stiffness = |run: usize| 0.8 + 0.4 * (0.618_034 * run as f64).fract();
+    let stiffness = |run: usize| 0.7 + 0.4 * (0.618_034 * run as f64).fract();
     let run = |scene: &str, run: usize| {
         let plant = stiffness(run);
         desk.done(&format!(
