@@ -1,4 +1,4 @@
-//! Costs of actuators in the arm: `cargo bench --bench actuators` prints the table `actuator costs`.
+//! Costs of actuators in the arm: `cargo bench --bench actuators` measures them and writes `benches/actuators.md`.
 //!
 //! The cases of a row group take turns in every round, on one thread, so that a busy machine slows all of them. The least time of all rounds
 //! stands for a case.
@@ -24,7 +24,7 @@ use softarm::mechanics::{
 use softarm::sqp::{HessianChoice, SqpSettings, solve};
 use softarm::stop::StopSignal;
 use softarm::task::{Arm, Discretization, EffortControl, Task};
-use support::{moving, push};
+use support::{machine, moving, push};
 
 const ELEMENTS: usize = 20;
 const ROUNDS: usize = 15;
@@ -34,20 +34,28 @@ const SOLVES: usize = 5;
 const ITERATIONS: usize = 4;
 
 fn main() {
-    println!("## Actuator costs\n");
-    println!("| K = {ELEMENTS}, one thread | case | least time | ratio |\n|---|---|---|---|");
-    steps(false);
-    steps(true);
+    let mut page = format!(
+        "# Costs of actuators in the arm\n\nPrinted by `cargo bench --bench actuators`, which replaces this file: least times of cases that \
+         take turns, and their ratios to the first of each group. [docs/performance.md](../docs/performance.md#actuators-in-the-arm) says \
+         how to read it.\n\nMachine: {}.\n\n| K = {ELEMENTS}, one thread | case | least time | ratio |\n|---|---|---|---|\n",
+        machine()
+    );
+    eprint!("{page}");
+    steps(&mut page, false);
+    steps(&mut page, true);
     for hessian in [HessianChoice::GaussNewton, HessianChoice::Exact] {
         for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
-            iterations(hessian, scheme);
+            iterations(&mut page, hessian, scheme);
         }
     }
-    numbers();
+    numbers(&mut page);
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/actuators.md");
+    std::fs::write(path, page).expect("benches can be written");
 }
 
-/// Prints the least times of cases that take turns, each over `units`, and their ratios to the first one.
+/// Adds the least times of cases that take turns, each over `units`, and their ratios to the first one.
 fn rows(
+    page: &mut String,
     title: &str,
     unit: (&str, f64),
     rounds: usize,
@@ -68,12 +76,14 @@ fn rows(
     }
     let per: Vec<f64> = (0..names.len()).map(|i| least[i] / units(i)).collect();
     for (name, time) in names.iter().zip(&per) {
-        println!(
-            "| {title} | {name} | {:.1} {} | {:.2} |",
+        let row = format!(
+            "| {title} | {name} | {:.1} {} | {:.2} |\n",
             time * unit.1,
             unit.0,
             time / per[0]
         );
+        eprint!("{row}");
+        page.push_str(&row);
     }
 }
 
@@ -141,7 +151,7 @@ fn ridge() -> LearnedBasis {
 }
 
 /// The forward step of a moving arm, all cases with the same time step.
-fn steps(implicit: bool) {
+fn steps(page: &mut String, implicit: bool) {
     let arm = soft_arm(StrainRule::Helical, ELEMENTS);
     let names = [
         "no actuator",
@@ -191,6 +201,7 @@ fn steps(implicit: bool) {
         .collect();
     let controls: Vec<_> = rods.iter().map(push).collect();
     rows(
+        page,
         if implicit {
             "implicit step of a node"
         } else {
@@ -247,7 +258,7 @@ fn problem(tendons: bool, scheme: TimeScheme) -> OptimalControlProblem {
 }
 
 /// An iteration of the solver, with the same Hessian, grid and blocks.
-fn iterations(hessian: HessianChoice, scheme: TimeScheme) {
+fn iterations(page: &mut String, hessian: HessianChoice, scheme: TimeScheme) {
     let problems = [false, true].map(|tendons| problem(tendons, scheme));
     let settings = SqpSettings {
         tolerance: 1e-14,
@@ -289,6 +300,7 @@ fn iterations(hessian: HessianChoice, scheme: TimeScheme) {
         format!("four tendons, {}", names[1]),
     ];
     rows(
+        page,
         &title,
         ("ms", 1e3),
         SOLVES,
@@ -352,7 +364,7 @@ fn thirty() -> Vec<Change> {
 }
 
 /// A rollout of 1000 steps in 50 intervals, and the derivative of a function of its states along efforts, start and numbers, whose rods are given.
-fn numbers() {
+fn numbers(page: &mut String) {
     let material = Material::isotropic(1e6, 0.45, 1100.0);
     let arm = RodParameters {
         actuators: around(Density::Shortening, 1.0, 0.0, 5.0, 0.03),
@@ -406,6 +418,7 @@ fn numbers() {
         (rollout.pull_back(&states, &covectors, numbers)).expect("a derivative");
     };
     rows(
+        page,
         "1000 steps, four tendons",
         ("ms", 1e3),
         ROUNDS,

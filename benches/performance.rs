@@ -22,7 +22,7 @@ use softarm::scene::{OptimalControl, Scene};
 use softarm::solve::{SolveOptions, solve_problem};
 use softarm::sqp::SqpSettings;
 use softarm::stop::StopSignal;
-use support::{Question, SensitivityCase, levels, median, moving, peak, push};
+use support::{Question, SensitivityCase, levels, machine, median, moving, peak, push};
 
 fn main() {
     let mut page = String::new();
@@ -43,17 +43,7 @@ fn say(page: &mut String, line: impl AsRef<str>) {
     let _ = writeln!(page, "{}", line.as_ref());
 }
 
-fn processor() -> String {
-    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let name = text.lines().find(|line| line.starts_with("model name"));
-    name.and_then(|line| line.split_once(": ")).map_or(
-        "a processor that does not name itself".into(),
-        |(_, name)| name.into(),
-    )
-}
-
 fn heading(page: &mut String) {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
     say(page, "# Times\n");
     say(
         page,
@@ -66,8 +56,8 @@ fn heading(page: &mut String) {
     say(
         page,
         format!(
-            "Machine: {}, {cores} threads. One core multiplies and adds, apart: {}.\n",
-            processor(),
+            "Machine: {}. One core multiplies and adds, apart: {}.\n",
+            machine(),
             peaks.join(", ")
         ),
     );
@@ -316,9 +306,10 @@ fn growth(page: &mut String) {
 }
 
 /// Times of the samples of a loop, s.
-fn sample_times(elements: usize, estimator: &str) -> Percentiles {
+fn sample_times(elements: usize, period_ms: usize, estimator: &str) -> Percentiles {
     let overrides = [
         format!("rod.elements={elements}"),
+        format!("mpc.period_s={}", 1e-3 * period_ms as f64),
         format!("estimator.kind={estimator}"),
         if estimator == "none" {
             "estimator.disturbances=[]".into()
@@ -343,28 +334,30 @@ fn samples(page: &mut String) {
     );
     say(
         page,
-        "| instructions | elements | estimator | p50, ms | p99, ms |\n|---|---|---|---|---|",
+        "| instructions | elements | period, ms | estimator | p50, ms | p95, ms | p99, ms |\n|---|---|---|---|---|---|---|",
     );
     // What kernels take; libraries choose for themselves.
     let mut sets = vec![(levels()[0].0, InstructionSet::Best)];
     if levels().len() > 2 {
         sets.push(("AVX2", InstructionSet::Avx2));
     }
-    for (elements, estimator) in [
-        (8, "kalman"),
-        (10, "kalman"),
-        (10, "none"),
-        (20, "kalman"),
-        (20, "none"),
+    for (elements, period_ms, estimator) in [
+        (8, 1, "kalman"),
+        (8, 10, "kalman"),
+        (10, 10, "kalman"),
+        (10, 10, "none"),
+        (20, 10, "kalman"),
+        (20, 10, "none"),
     ] {
         for (name, set) in &sets {
             limit_instructions(*set);
-            let times = sample_times(elements, estimator);
+            let times = sample_times(elements, period_ms, estimator);
             say(
                 page,
                 format!(
-                    "| {name} | {elements} | {estimator} | {:.2} | {:.2} |",
+                    "| {name} | {elements} | {period_ms} | {estimator} | {:.2} | {:.2} | {:.2} |",
                     1e3 * times.p50,
+                    1e3 * times.p95,
                     1e3 * times.p99
                 ),
             );

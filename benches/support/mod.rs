@@ -30,6 +30,16 @@ pub fn sorted_times(runs: usize, mut work: impl FnMut()) -> Vec<f64> {
     times
 }
 
+/// Returns the name of the processor and the number of its threads.
+pub fn machine() -> String {
+    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let name = text.lines().find(|line| line.starts_with("model name"));
+    let name = name.and_then(|line| line.split_once(": "));
+    let name = name.map_or("a processor that does not name itself", |(_, name)| name);
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    format!("{name}, {threads} threads")
+}
+
 /// Instruction sets that this machine offers, the best first.
 pub fn levels() -> Vec<(&'static str, pulp::Arch)> {
     let mut levels = Vec::new();
