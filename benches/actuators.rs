@@ -24,7 +24,7 @@ use softarm::mechanics::{
 use softarm::sqp::{HessianChoice, SqpSettings, solve};
 use softarm::stop::StopSignal;
 use softarm::task::{Arm, Discretization, EffortControl, Task};
-use support::{machine, moving, push};
+use support::{machine, moving, push, say, write};
 
 const ELEMENTS: usize = 20;
 const ROUNDS: usize = 15;
@@ -34,13 +34,14 @@ const SOLVES: usize = 5;
 const ITERATIONS: usize = 4;
 
 fn main() {
-    let mut page = format!(
+    let mut page = String::new();
+    let heading = format!(
         "# Costs of actuators in the arm\n\nPrinted by `cargo bench --bench actuators`, which replaces this file: least times of cases that \
          take turns, and their ratios to the first of each group. [docs/performance.md](../docs/performance.md#actuators-in-the-arm) says \
-         how to read it.\n\nMachine: {}.\n\n| K = {ELEMENTS}, one thread | case | least time | ratio |\n|---|---|---|---|\n",
+         how to read it.\n\nMachine: {}.\n\n| K = {ELEMENTS}, one thread | case | least time | ratio |\n|---|---|---|---|",
         machine()
     );
-    eprint!("{page}");
+    say(&mut page, heading);
     steps(&mut page, false);
     steps(&mut page, true);
     for hessian in [HessianChoice::GaussNewton, HessianChoice::Exact] {
@@ -49,8 +50,7 @@ fn main() {
         }
     }
     numbers(&mut page);
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/actuators.md");
-    std::fs::write(path, page).expect("benches can be written");
+    write(&page, "actuators.md");
 }
 
 /// Adds the least times of cases that take turns, each over `units`, and their ratios to the first one.
@@ -77,13 +77,12 @@ fn rows(
     let per: Vec<f64> = (0..names.len()).map(|i| least[i] / units(i)).collect();
     for (name, time) in names.iter().zip(&per) {
         let row = format!(
-            "| {title} | {name} | {:.1} {} | {:.2} |\n",
+            "| {title} | {name} | {:.1} {} | {:.2} |",
             time * unit.1,
             unit.0,
             time / per[0]
         );
-        eprint!("{row}");
-        page.push_str(&row);
+        say(page, row);
     }
 }
 

@@ -6,7 +6,6 @@
 mod common;
 mod support;
 
-use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -22,7 +21,7 @@ use softarm::scene::{OptimalControl, Scene};
 use softarm::solve::{SolveOptions, solve_problem};
 use softarm::sqp::SqpSettings;
 use softarm::stop::StopSignal;
-use support::{Question, SensitivityCase, levels, machine, median, moving, peak, push};
+use support::{Question, SensitivityCase, levels, machine, median, moving, peak, push, say, write};
 
 fn main() {
     let mut page = String::new();
@@ -34,13 +33,7 @@ fn main() {
     growth(&mut page);
     samples(&mut page);
     println!("{page}");
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/performance.md");
-    std::fs::write(path, page).expect("benches can be written");
-}
-
-fn say(page: &mut String, line: impl AsRef<str>) {
-    eprintln!("{}", line.as_ref());
-    let _ = writeln!(page, "{}", line.as_ref());
+    write(&page, "performance.md");
 }
 
 fn heading(page: &mut String) {

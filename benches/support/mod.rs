@@ -30,6 +30,19 @@ pub fn sorted_times(runs: usize, mut work: impl FnMut()) -> Vec<f64> {
     times
 }
 
+/// Shows a line and adds it to a page.
+pub fn say(page: &mut String, line: impl AsRef<str>) {
+    eprintln!("{}", line.as_ref());
+    page.push_str(line.as_ref());
+    page.push('\n');
+}
+
+/// Writes a page into the folder of the benches.
+pub fn write(page: &str, name: &str) {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("benches");
+    std::fs::write(folder.join(name), page).expect("benches can be written");
+}
+
 /// Returns the name of the processor and the number of its threads.
 pub fn machine() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();

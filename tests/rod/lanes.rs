@@ -116,7 +116,7 @@ fn unsolved(rod: &Rod, h: f64, n_steps: usize) -> f64 {
 fn lanes_follow_the_checks_integrator() {
     for method in methods() {
         let rule = method.rule;
-        for n_elements in [1, 2, 7, 8, 9, 40] {
+        for n_elements in [1, 2, 7, 8, 9, 40, 129] {
             for base in bases() {
                 let uneven = (n_elements > 2).then(|| uneven_arm(rule, n_elements));
                 for parameters in [busy_arm(rule, n_elements), soft_arm(rule, n_elements)]
