@@ -413,8 +413,8 @@ fn numbers(page: &mut String) {
     for covector in &mut covectors {
         covector.positions[rod.tip()].x = 1.0;
     }
-    let back = |numbers: &[Beside]| {
-        (rollout.pull_back(&states, &covectors, numbers)).expect("a derivative");
+    let back = |numbers: &[Beside], n_threads: usize| {
+        (rollout.pull_back(&states, &covectors, numbers, n_threads)).expect("a derivative");
     };
     rows(
         page,
@@ -425,14 +425,16 @@ fn numbers(page: &mut String) {
             "the motion",
             "backward: 200 efforts, the start",
             "and 30 numbers of sections, lines, inertia, weight",
+            "the same on two threads",
             "and one number of another kind",
             "61 motions, for differences along 30 numbers",
         ],
         |case| match case {
             0 => drop(rollout.states(&initial)),
-            1 => back(&[]),
-            2 => back(&known),
-            3 => back(&other),
+            1 => back(&[], 1),
+            2 => back(&known, 1),
+            3 => back(&known, 2),
+            4 => back(&other, 1),
             _ => (0..61).for_each(|_| drop(rollout.states(&initial))),
         },
         |_| 1.0,

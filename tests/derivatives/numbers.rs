@@ -1,5 +1,6 @@
 //! Derivatives of rollouts along the numbers of an arm, along controls and along the state at the start, against differences of whole motions.
 
+use crate::common::learned::learned;
 use crate::common::{Dice, busy_arm, random_state};
 
 use nalgebra::{Matrix3, Vector3};
@@ -7,9 +8,9 @@ use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rollout::{Beside, ControlRows, Rollout};
 use softarm::mechanics::rotation::{exp, hat};
 use softarm::mechanics::{
-    Cable, Density, EndCondition, Friction, OfPose, Place, PoseActuator, Rod, RodModel,
-    RodParameters, Route, SectionProfile, Span, State, StrainActuator, StrainRule, TimeScheme,
-    Winch, Wrench, resistance::Fluid,
+    Cable, Density, EndCondition, Friction, LearnedStrains, OfPose, Place, PoseActuator, Rod,
+    RodModel, RodParameters, Route, SectionProfile, Span, State, StrainActuator, StrainRule,
+    TimeScheme, Winch, Wrench, resistance::Fluid,
 };
 use softarm::stop::StopSignal;
 
@@ -238,8 +239,14 @@ fn compare(what: &str, arm: &RodParameters, numbers: &[Number], kind: (bool, boo
         })
         .collect();
     let found = rollout((&rod, step), &controls, &stop)
-        .pull_back(&states, &covectors, &beside)
+        .pull_back(&states, &covectors, &beside, 1)
         .expect(what);
+    for n_threads in [2, 5] {
+        let same = rollout((&rod, step), &controls, &stop)
+            .pull_back(&states, &covectors, &beside, n_threads)
+            .expect(what);
+        assert_eq!(same, found, "{what}, {n_threads} threads");
+    }
     for (number, found) in numbers.iter().zip(&found.numbers) {
         let expected = derivative(number.1, |x| {
             let rod = changed(number, x);
@@ -478,5 +485,64 @@ fn along_the_numbers_of_what_acts_on_an_arm() {
             &[&NUMBERS[..2], &winches[..n]].concat(),
             (true, true),
         );
+    }
+}
+
+/// Along both offsets of the line of an actuator of every kind, by every rule and scheme.
+#[test]
+fn along_the_line_of_every_density() {
+    let threaded = |clearance: f64| Density::Threaded {
+        spacing: 0.05,
+        clearance,
+    };
+    let braid = Density::Braid {
+        fibre: 2.0,
+        turns: 3.0,
+    };
+    let kinds = [
+        ("tendon", Density::Shortening, 20.0),
+        ("push rod", Density::Lengthening, 20.0),
+        ("tendon through disks", threaded(0.0), 20.0),
+        ("tendon in wide holes", threaded(1e-3), 20.0),
+        ("chamber", Density::Volume, 20.0),
+        ("muscle", Density::Muscle, 20.0),
+        ("braid", braid, 300.0),
+        (
+            "learned",
+            Density::Learned(learned(LearnedStrains::OfLine)),
+            20.0,
+        ),
+    ];
+    let numbers: &[Number] = &[
+        ("first offset at the base", 0.02, |p, x| {
+            p.actuators[0].route.offset_from[0] += x;
+        }),
+        ("second offset at the base", 0.02, |p, x| {
+            p.actuators[0].route.offset_from[1] += x;
+        }),
+        ("first offset at the tip", 0.02, |p, x| {
+            p.actuators[0].route.offset_to[0] += x;
+        }),
+        ("second offset at the tip", 0.02, |p, x| {
+            p.actuators[0].route.offset_to[1] += x;
+        }),
+    ];
+    for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
+        for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+            for (kind, density, effort) in &kinds {
+                let arm = RodParameters {
+                    scheme,
+                    internal_damping: 1e-3,
+                    actuators: vec![StrainActuator {
+                        density: density.clone(),
+                        effort: vec![(0.0, *effort)],
+                        ..tendon([0.02, -0.01])
+                    }],
+                    ..busy_arm(rule, ELEMENTS)
+                };
+                let what = format!("{kind}, {} {}", rule.name(), scheme.name());
+                compare(&what, &arm, numbers, (true, true));
+            }
+        }
     }
 }

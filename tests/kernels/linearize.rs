@@ -6,15 +6,15 @@ use cosserat::{
     ControlSignal, Load, LoadFrame, Material, Rod, RodParameters, Section, SectionProfile, State,
     StateForm, TimeGrid, TimeScheme, Trajectory, stable_step,
 };
-use integrator::curvature::MotionMultipliers;
-use integrator::linearization::{Defects, Motion};
-use integrator::sensitivity::RepeatedDefects;
-use integrator::sensitivity::adjoint;
-use integrator::sensitivity::along::Along;
-use integrator::sensitivity::linearize::Memory;
-use integrator::sensitivity::step::{LinearizedStep, NodeDrift, StepCurvature};
 use nalgebra::Vector3;
 use pulp::Arch;
+use sensitivity::RepeatedDefects;
+use sensitivity::adjoint;
+use sensitivity::along::Along;
+use sensitivity::curvature::MotionMultipliers;
+use sensitivity::linearization::{Defects, Motion};
+use sensitivity::linearize::Memory;
+use sensitivity::step::{LinearizedStep, NodeDrift, StepCurvature};
 
 use crate::levels;
 

@@ -1,10 +1,10 @@
 //! The curvature of a motion, reduced to its controls.
 
 use cosserat::forms::NODE_COMPONENTS;
-use integrator::sensitivity::TILE;
-use integrator::sensitivity::reduction::{Contract, Keep, Multiply};
-use integrator::sensitivity::step::StepCurvature;
 use pulp::{Scalar, Scalar128b, Scalar256b, Scalar512b, Simd, WithSimd as _};
+use sensitivity::TILE;
+use sensitivity::reduction::{Contract, Keep, Multiply};
+use sensitivity::step::StepCurvature;
 
 /// Distinct small integers over 8: every sum of products is exact, so the order does not matter.
 fn numbers(n: usize, seed: usize) -> Vec<f64> {

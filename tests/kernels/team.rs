@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use integrator::sensitivity::team::rounds;
+use sensitivity::team::rounds;
 
 /// Every task is done once, and none before all of the round before it.
 #[test]

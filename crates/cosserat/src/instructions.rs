@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use pulp::Arch;
+use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
 /// A set of vector instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -44,4 +44,32 @@ fn limited(most: u8) -> Arch {
     }
     let _ = most;
     Arch::Scalar
+}
+
+/// Runs work on the widest available vectors; with two doubles if the processor offers no more.
+pub fn dispatch<W: WithSimd>(arch: Arch, work: W) -> W::Output {
+    // The dispatch of `pulp` would compile all work once more, for single numbers.
+    #[cfg(target_arch = "x86_64")]
+    match arch {
+        Arch::V4(simd) => Simd::vectorize(simd, work),
+        Arch::V3(simd) => Simd::vectorize(simd, work),
+        _ => work.with_simd(Scalar128b),
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    match arch {
+        Arch::Scalar => work.with_simd(Scalar128b),
+        _ => arch.dispatch(work),
+    }
+}
+
+/// Work that finds the number of lanes of the vectors.
+pub struct CountLanes;
+
+impl WithSimd for CountLanes {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> usize {
+        S::F64_LANES
+    }
 }

@@ -9,6 +9,8 @@ pub mod base_motion;
 #[doc(hidden)]
 pub mod block_tridiagonal;
 #[doc(hidden)]
+pub mod buffer;
+#[doc(hidden)]
 pub mod configuration;
 #[doc(hidden)]
 pub mod differences;

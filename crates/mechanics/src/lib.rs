@@ -82,11 +82,10 @@ pub use equilibrium::{
 #[doc(inline)]
 pub use integrator::{Diagnostics, MomentumBalance, PowerBalance, Stepper};
 #[doc(hidden)]
-pub use integrator::{
-    LaneIntegrator, SolverWork, StepperMemory, curvature, diagnostics, lanes, linearization,
-    sensitivity, sparse_motion, stepper,
-};
+pub use integrator::{LaneIntegrator, SolverWork, StepperMemory, diagnostics, lanes, stepper};
 pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
+#[doc(hidden)]
+pub use sensitivity::{self, curvature, linearization, sparse_motion};
 pub use swept::SweptSurface;
 pub use tangent::Stability;
 pub use vibration::SmallMotions;

@@ -6,19 +6,19 @@
 //! the one before, and on its way reads the controls and the [numbers](super::sensitivity::Neighbor). The motion within an interval is computed
 //! again from its first state, so that memory is that of the states and of one interval, whatever the duration.
 
-use super::sensitivity::{
-    Contracted, ControlColumns, CovectorSums, Neighbor, adjoint_along, change_between,
-};
+mod backward;
+
+use self::backward::Backward;
+use super::sensitivity::{Contracted, ControlColumns};
 use cosserat::configuration::{State, Trajectory};
-use cosserat::forms::StateForm;
 use cosserat::load::Wrench;
 use cosserat::rod::{NodeInertia, Rod};
 use cosserat::signal::{ControlSignal, Efforts};
 use cosserat::state_tangent::StateTangent;
 use cosserat::step_error::StepError;
 use cosserat::time::TimeGrid;
-use integrator::linearization::Motion;
 use integrator::{Stepper, StepperMemory};
+use sensitivity::linearization::Motion;
 use stop::{Stop, StopSignal};
 
 /// Controls, interval by interval: one row for each, constant in it, or, where they are linear in between, one more, at the ends of all.
@@ -149,7 +149,7 @@ pub fn along_velocities(rod: &Rod, covector: &StateTangent) -> StateTangent {
 }
 
 /// The derivative of a function of the states of a rollout.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RolloutGradient {
     /// Along the inputs of all actuators, row by row; empty where none are given.
     pub inputs: Vec<f64>,
@@ -196,7 +196,7 @@ impl Rollout<'_> {
     }
 
     /// Returns the derivative of a function of the states, whose covectors `(δx, ζ, δp, δπ)` are given for every state of
-    /// [`Self::states`], along the controls, the state at the start and some numbers.
+    /// [`Self::states`], along the controls, the state at the start and some numbers. It does not depend on the number of threads.
     ///
     /// # Errors
     /// As [`Self::states`], and where a step cannot be linearized.
@@ -208,77 +208,11 @@ impl Rollout<'_> {
         states: &[State],
         covectors: &[StateTangent],
         numbers: &[Beside],
+        n_threads: usize,
     ) -> Result<RolloutGradient, RolloutError> {
-        let (rod, controls) = (self.rod, self.controls);
-        let n = controls.n_intervals();
+        let n = self.controls.n_intervals();
         assert!(states.len() == n + 1 && covectors.len() == n + 1);
-        let is_known: Vec<bool> = (numbers.iter())
-            .map(|own| CovectorSums::know(own.rods.each_ref()))
-            .collect();
-        let mut sums = (is_known.contains(&true)).then(|| CovectorSums::none(rod));
-        let moves_lines = (numbers.iter().zip(&is_known)).any(|(own, is_known)| {
-            let [a, b] = own.rods.each_ref().map(|rod| rod.actuators.points());
-            *is_known && a != b
-        });
-        let mut out = RolloutGradient {
-            inputs: vec![0.0; controls.inputs.len()],
-            wrenches: vec![Wrench::default(); controls.wrenches.len()],
-            initial: StateTangent::zeros(rod.n_nodes()),
-            numbers: vec![0.0; numbers.len()],
-        };
-        let mut memory = StepperMemory::new(rod, self.step);
-        let mut covector = covectors[n].clone();
-        for interval in (0..n).rev() {
-            let signal = self.signal(rod, interval);
-            let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), self.n_steps + 1);
-            let from = &states[interval];
-            memory = self
-                .advance(memory, from, (interval, &signal), &mut |stepper| {
-                    stepper.record(&mut trajectory);
-                })?
-                .1;
-            let motion = Motion {
-                rod,
-                grid: self.grid(interval),
-                initial: from,
-                stop: Some(self.stop),
-                control: Some(&signal),
-            };
-            let failed = |error| RolloutError::Step { interval, error };
-            let columns = Columns::of(&motion, &trajectory, controls);
-            let forms = [StateForm::of_covector(self.n_steps, &covector)];
-            let (sweep, values) =
-                adjoint_along(&motion, &trajectory, &forms, &columns, 1).map_err(failed)?;
-            self.stop.check().map_err(RolloutError::Stopped)?;
-            columns.add_to(interval, &values, &mut out);
-            if sums.is_some() || columns.drives_strains() {
-                let contracted = Contracted::of(&motion, &trajectory, &sweep, moves_lines);
-                columns.add_lines(interval, &contracted, &mut out);
-                if let Some(sums) = &mut sums {
-                    sums.add(&motion, &trajectory, &contracted, &sweep);
-                }
-            }
-            for (index, own) in numbers.iter().enumerate().filter(|own| !is_known[own.0]) {
-                let signals = own.rods.each_ref().map(|rod| self.signal(rod, interval));
-                let side = |side: usize| Neighbor {
-                    rod: &own.rods[side],
-                    control: &signals[side],
-                    initial: from,
-                };
-                let change = change_between(&motion, &trajectory, [side(0), side(1)], own.width);
-                out.numbers[index] += change.map_err(failed)?.on(&covector, &sweep);
-            }
-            covector = covectors[interval].plus(&sweep.start);
-        }
-        for ((own, is_known), slope) in numbers.iter().zip(is_known).zip(&mut out.numbers) {
-            if let Some(sums) = sums.as_ref().filter(|_| is_known) {
-                *slope += sums.slope(rod, own.rods.each_ref(), own.width);
-            }
-            let [ahead, behind] = &own.initial;
-            *slope += ahead.difference(behind).dot(&covector) / own.width;
-        }
-        out.initial = covector;
-        Ok(out)
+        Backward::new(self, states, numbers).pull_back(covectors, n_threads)
     }
 
     fn grid(&self, interval: usize) -> TimeGrid {
@@ -367,14 +301,13 @@ impl<'a> Columns<'a> {
         self.n_inputs > 0 && !self.motion.rod.actuators.strains().is_empty()
     }
 
-    /// Adds what inputs do by the stress of the arm to a derivative.
-    fn add_lines(&self, interval: usize, contracted: &Contracted, out: &mut RolloutGradient) {
+    /// Adds what inputs do by the stress of the arm to a derivative along the rows of the interval.
+    fn add_lines(&self, contracted: &Contracted, out: &mut RolloutGradient) {
         let (motion, m) = (self.motion, self.n_inputs);
         let (rod, ends) = (motion.rod, motion.rod.scheme.n_ends());
         if !self.drives_strains() {
             return;
         }
-        let rows = self.controls.rows(interval);
         let follows = rod.actuators.follow_shape();
         let mut inputs = vec![0.0; m];
         let mut state = rod.actuators.effort_state();
@@ -400,7 +333,7 @@ impl<'a> Columns<'a> {
                 } else {
                     own
                 };
-                for (row, part) in rows.into_iter().zip(parts).filter(|own| own.1 != 0.0) {
+                for (row, part) in parts.into_iter().enumerate().filter(|own| own.1 != 0.0) {
                     out.inputs[row * m + i] += part * along;
                 }
             }
@@ -428,11 +361,11 @@ impl<'a> Columns<'a> {
         }
     }
 
-    /// Adds the values of a form on the columns to a derivative.
-    fn add_to(&self, interval: usize, values: &[f64], out: &mut RolloutGradient) {
+    /// Adds the values of a form on the columns to a derivative along the rows of the interval.
+    fn add_to(&self, values: &[f64], out: &mut RolloutGradient) {
         let (m, w) = (self.n_inputs, self.controls.nodes.len());
-        let rows = self.controls.rows(interval).into_iter().take(self.n_rows());
-        for (row, values) in rows.zip(values.chunks(self.n_of_row().max(1))) {
+        let rows = values.chunks(self.n_of_row().max(1)).enumerate();
+        for (row, values) in rows.take(self.n_rows()) {
             for (sum, value) in out.inputs[row * m..].iter_mut().zip(&values[..m]) {
                 *sum += value;
             }

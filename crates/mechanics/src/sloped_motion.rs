@@ -15,7 +15,7 @@ use cosserat::state_tangent::StateTangent;
 use cosserat::step_error::StepError;
 use cosserat::time::TimeGrid;
 use integrator::Stepper;
-use integrator::linearization::{Motion, RightHandSide};
+use sensitivity::linearization::{Motion, RightHandSide};
 use stop::{Stop, StopSignal};
 
 /// Most steps that are linearized at once: enough for the vectors of time nodes, and few enough for the cache.

@@ -388,7 +388,7 @@ impl Ran {
             .map(|covector| along_momenta(rod, covector))
             .collect();
         let course = common.course(rod, &self.controls[row], stop);
-        let mut found = (course.pull_back(states, &along, &beside))
+        let mut found = (course.pull_back(states, &along, &beside, n_threads))
             .map_err(|error| Failure::Motion(row, error))?;
         for (slope, own) in found.numbers.iter_mut().zip(beside.iter()) {
             *slope += own.at_given_momenta(states, covectors);

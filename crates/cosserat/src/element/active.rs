@@ -502,6 +502,45 @@ impl<S: Simd> ActivePoint<S> {
     }
 }
 
+impl<S: Simd> ActivePoint<S> {
+    /// Returns the change `dy` of the coordinate along a change `(l δv_a, l δv_b, δψ)` of the strain, and the derivatives of `dy` along the
+    /// components of `d` and of `l d'`; zeros of a learned density.
+    ///
+    /// With the gradient `g` of the coordinate along `l p` and the derivative `h` of `dy` along it, which is that along `l v`, a change `e` of `d`
+    /// changes `dy` by `g·(δψ × e) + h·(ψ × e)`, and one of `l d'` by `h·e`.
+    #[inline(always)]
+    pub fn change<const ENDS: usize>(
+        &self,
+        density: &Density,
+        (linear, psi): ([Vec3<S>; 2], Vec3<S>),
+        [near, far, turn]: [Vec3<S>; 3],
+    ) -> (Lanes<S>, [Lanes<S>; 4]) {
+        let simd = psi.x.simd;
+        let zero = Lanes::splat(simd, 0.0);
+        let (mut first, mut second) = (Stress::zero(simd), ActiveTangent::zero(simd));
+        let strain = (linear, psi);
+        let one = Lanes::splat(simd, 1.0);
+        self.add_derivatives::<ENDS>(density, strain, one, &mut first, &mut second);
+        let mut change = first.angular.dot(turn);
+        let mut slopes = [zero; 4];
+        for (end, own) in [near, far].into_iter().enumerate().take(ENDS) {
+            let g = first.linear[end];
+            change = change + g.dot(own);
+            let bent = second.linear[end].apply(own) + second.mixed[end].apply(turn);
+            slopes[0] =
+                slopes[0] + (g.y * turn.z - g.z * turn.y) + (bent.y * psi.z - bent.z * psi.y);
+            slopes[1] =
+                slopes[1] + (g.z * turn.x - g.x * turn.z) + (bent.z * psi.x - bent.x * psi.z);
+            slopes[2] = slopes[2] + bent.x;
+            slopes[3] = slopes[3] + bent.y;
+        }
+        if matches!(density, Density::Learned(_)) {
+            slopes = [zero; 4];
+        }
+        (change, slopes)
+    }
+}
+
 /// A learned density at a point of an actuator, for the strain at one end.
 struct LearnedAt<'a, S: Simd> {
     at: ActivePoint<S>,

@@ -228,7 +228,7 @@ impl<S: Simd> Turns<S> for MildTurn {
 /// (unit/step) are of the same size.
 pub const DIFFERENCE_STEP: f64 = 6e-6;
 
-/// The displaced pose for the element's curvature (`integrator::curvature::element_curvature`) along a covector.
+/// The displaced pose for the element's curvature (`sensitivity::curvature::element_curvature`) along a covector.
 #[derive(Clone, Copy)]
 pub struct Displacement<S: Simd> {
     pub covector: [Vec3<S>; 3],

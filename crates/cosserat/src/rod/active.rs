@@ -257,7 +257,7 @@ impl Rod {
         self.write_shares(ends, Some(time), out);
     }
 
-    /// Writes what efforts depend on in a set of pulls (`integrator::sensitivity::EffortPulls`): at a time node, or under the implicit scheme
+    /// Writes what efforts depend on in a set of pulls (`sensitivity::EffortPulls`): at a time node, or under the implicit scheme
     /// over an interval of the time `time`, s.
     pub fn write_effort_state_of_set(
         &self,

@@ -9,7 +9,7 @@ use super::LaneIntegrator;
 use super::place::{FORCE, MOMENT, Slot, Slots};
 use super::rule::Stress;
 use super::vector::{Lanes, Row, Vec3, row};
-use crate::buffer::Buffer;
+use cosserat::buffer::Buffer;
 use cosserat::configuration::Configuration;
 use cosserat::element::{ActivePoint, ActiveTangent, Density};
 use cosserat::pose_actuator::{Pose, Posed};

@@ -4,7 +4,7 @@ use super::element::{Consistent, SectionLaw, Standard};
 use super::place::{Slot, Slots};
 use super::rule::Rule;
 use super::sweep::{GYRATION, MOBILITY, NODE_ROWS, WEIGHT};
-use crate::buffer::Buffer;
+use cosserat::buffer::Buffer;
 use cosserat::element::StrainRule;
 use cosserat::element::{Helical, RodModel, Trapezoidal};
 use cosserat::rod::{NodeInertia, Rod};

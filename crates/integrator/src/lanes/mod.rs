@@ -4,7 +4,6 @@
 mod active;
 mod base;
 mod constants;
-pub(super) mod curved;
 mod element;
 mod failure;
 mod impulses;
@@ -14,13 +13,12 @@ mod rule;
 mod singly;
 pub mod solved;
 mod sweep;
-pub(super) mod tangent;
 pub mod turn;
 
 use std::marker::PhantomData;
 
 use nalgebra::{Matrix3, Quaternion, Vector3};
-use pulp::{Arch, Scalar128b, Simd, WithSimd};
+use pulp::Arch;
 
 use self::active::ActiveLanes;
 use self::base::{HeldBase, HeldEnd};
@@ -36,22 +34,22 @@ use self::sweep::{
     ANGULAR_MOMENTUM, EXCHANGE_ROWS, FORCE, LAST_TURN, LINEAR_MOMENTUM, MOMENT, POSITION, Part,
     ROTARY, ROTATION, SPIN_ROWS, STATE_ROWS, Sweep,
 };
-use crate::buffer::Buffer;
 use cosserat::base_motion::BaseState;
+use cosserat::buffer::Buffer;
 use cosserat::configuration::{Configuration, State, Trajectory};
 use cosserat::element::StrainRule;
 use cosserat::element::{Helical, RodModel, Trapezoidal};
 use cosserat::forces::NodalForces;
 use cosserat::guards::approach_base;
 use cosserat::inertia::InertiaRule;
-use cosserat::instructions::instructions;
+use cosserat::instructions::{CountLanes, dispatch, instructions};
 use cosserat::load::Wrench;
 use cosserat::rod::{BaseCondition, Rod};
 use cosserat::rotation::{from_quaternion, quaternion, wxyz};
 use cosserat::signal::NodeWrenches;
 use cosserat::step_error::StepError;
 use cosserat::time::Clock;
-pub(super) use cosserat::{logarithm, vector};
+use cosserat::{logarithm, vector};
 
 /// Number of steps between normalizations of the quaternions, whose length each product changes by rounding only.
 const NORMALIZE_EVERY: usize = 16;
@@ -141,33 +139,6 @@ impl LaneMemory {
         if let Some(solver) = &mut self.solver {
             solver.retune(rod, time_step);
         }
-    }
-}
-
-/// Runs the work of a step on the widest available vectors; with two doubles if the processor offers no more.
-pub(super) fn dispatch<W: WithSimd>(arch: Arch, work: W) -> W::Output {
-    // The dispatch of `pulp` would compile all work once more, for single numbers.
-    #[cfg(target_arch = "x86_64")]
-    match arch {
-        Arch::V4(simd) => Simd::vectorize(simd, work),
-        Arch::V3(simd) => Simd::vectorize(simd, work),
-        _ => work.with_simd(Scalar128b),
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    match arch {
-        Arch::Scalar => work.with_simd(Scalar128b),
-        _ => arch.dispatch(work),
-    }
-}
-
-pub(super) struct CountLanes;
-
-impl WithSimd for CountLanes {
-    type Output = usize;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        S::F64_LANES
     }
 }
 

@@ -2,9 +2,9 @@
 
 use pulp::Simd;
 
-use crate::buffer::Buffer;
 use crate::lanes::place::Slots;
 use crate::lanes::vector::{Frame, Lanes, Row, Vec3, row};
+use cosserat::buffer::Buffer;
 use cosserat::rod::Rod;
 
 /// Rows of a block of nodes: `h/2/(1 + a)` times `c/h²`, across the axis and along it.

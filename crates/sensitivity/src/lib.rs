@@ -1,4 +1,5 @@
-//! Derivatives of many linear forms of a motion along many control columns at once.
+//! The derivatives of a motion: its [linearization](linearization), the derivatives of many linear forms along many control columns at once,
+//! and [second derivatives](curvature). A part of softarm.
 //!
 //! All columns share the linearization of every step, so it is computed once and applied to tiles of [`TILE`] columns
 //! that lie next to each other in memory (column index fastest). The kernels are written once over [`pulp`]'s vectors and
@@ -12,6 +13,9 @@
 //! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
 //! `H` over a batch of time nodes.
 
+#![forbid(unsafe_code)]
+#![doc(hidden)]
+
 mod active;
 pub mod along;
 mod arriving;
@@ -20,14 +24,19 @@ mod columns;
 mod combined;
 mod contracted;
 mod conveyor;
+pub mod curvature;
+mod curved;
 mod dilated;
+pub mod linearization;
 pub mod linearize;
 mod numbers;
 pub mod reduction;
 mod repeated;
 pub mod residual;
 mod reverse;
+pub mod sparse_motion;
 pub mod step;
+mod tangent;
 pub mod team;
 mod tile;
 mod winches;
@@ -39,13 +48,13 @@ use faer::Mat;
 
 use self::along::Along;
 use self::conveyor::{Conveyor, PIECE, Sense, parts_of};
+use self::curvature::MotionMultipliers;
+use self::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use self::linearize::Memory;
 use self::reduction::{Block, Record};
 use self::reverse::ReverseTile;
 use self::team::{lock, read, write};
 use self::tile::Tile;
-use super::curvature::MotionMultipliers;
-use super::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use cosserat::configuration::{Trajectory, TrajectoryTangent};
 use cosserat::element::RodModel;
 use cosserat::forms::{NODE_COMPONENTS, StateForm};
@@ -262,14 +271,33 @@ pub fn adjoint_along(
             }
         },
     )?;
-    let mut tile = tile.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let start = tile.start_of(0);
-    let values = (0..n_columns)
-        .map(|column| tile.values[column * TILE])
-        .collect();
-    let sum = tile.sum.take().map(|sum| AdjointSweep { start, ..sum });
-    let sweep = sum.unwrap_or_else(|| AdjointSweep::zeros(0, 0));
-    Ok((sweep, values))
+    let tile = tile.into_inner().unwrap_or_else(PoisonError::into_inner);
+    Ok(tile.into_sum(n_columns))
+}
+
+/// [`adjoint_along`] one form or more, back through a motion of the given [linearized steps](linearized_steps).
+#[must_use]
+pub fn adjoint_through(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    steps: &[LinearizedStep],
+    forms: &[StateForm],
+    columns: &dyn ControlColumns,
+) -> (AdjointSweep, Vec<f64>) {
+    let task = Task {
+        motion,
+        trajectory,
+        sources: &[],
+        columns,
+        forms,
+        n_threads: 1,
+    };
+    let arch = instructions();
+    let mut tile = ReverseTile::of_sum(&task);
+    for (k, step) in steps.iter().enumerate().rev() {
+        tile.advance(arch, step, k, &task);
+    }
+    tile.into_sum(columns.n_columns())
 }
 
 /// Solves the linearized equations of motion forward for one change of the control and of their right-hand side, the state at
@@ -365,6 +393,19 @@ pub fn linearized_steps(
     trajectory: &Trajectory,
 ) -> Result<Vec<LinearizedStep>, StepError> {
     let mut steps = Vec::new();
+    linearize_into(motion, trajectory, &mut steps)?;
+    Ok(steps)
+}
+
+/// Linearizes a motion at all time nodes into the memory of other steps of its rod.
+///
+/// # Errors
+/// As [`linearized_steps`].
+pub fn linearize_into(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    steps: &mut Vec<LinearizedStep>,
+) -> Result<(), StepError> {
     steps.resize_with(motion.grid.n_steps + 1, LinearizedStep::default);
     let along = Along {
         motion,
@@ -373,8 +414,7 @@ pub fn linearized_steps(
         stretch: 0..=motion.grid.n_steps,
     };
     let arch = instructions();
-    Memory::of(arch, motion).linearize(arch, &along, 0, &mut steps)?;
-    Ok(steps)
+    Memory::of(arch, motion).linearize(arch, &along, 0, steps)
 }
 
 /// The state at the end of a motion of the given [linearized steps](linearized_steps), as [`direction`] returns it.

@@ -2,8 +2,8 @@
 
 use pulp::{Scalar, Simd};
 
-use crate::lanes::vector::{Mat3, Vec3};
 use cosserat::element::{AnyTurn, Element, ElementPose, MildTurn, TangentRule, Turns};
+use cosserat::vector::{Mat3, Vec3};
 
 /// Elements that a linearization takes apart.
 pub trait Reach<S: Simd>: Turns<S> {
@@ -25,7 +25,7 @@ pub trait Reach<S: Simd>: Turns<S> {
 pub const ROUNDING: f64 = 1e-12;
 
 /// Elements of the standard model whose ends are turned against each other by less than
-/// [`LEAST_MARGIN`](crate::lanes::tangent::LEAST_MARGIN) says.
+/// [`LEAST_MARGIN`](crate::tangent::LEAST_MARGIN) says.
 impl<S: Simd> Reach<S> for MildTurn {
     const ALL: bool = false;
     const MARGIN: f64 = ROUNDING;

@@ -4,13 +4,15 @@ use std::ops::{Deref, DerefMut};
 
 /// Numbers that start on a cache line, so that no vector crosses a line.
 #[derive(Debug)]
-pub(super) struct Buffer {
+pub struct Buffer {
     store: Vec<f64>,
     start: usize,
     len: usize,
 }
 
 impl Buffer {
+    /// Memory of so many numbers, all 0.
+    #[must_use]
     pub fn zeros(len: usize) -> Self {
         const LINE: usize = 64;
         let store = vec![0.0; len + LINE / size_of::<f64>()];

@@ -47,7 +47,7 @@ pub struct LinearizedStep {
     pub curvature: Option<StepCurvature>,
 }
 
-/// The drift of one node, linearized: `ζ⁺ = Fᵀ ζ + Θ δg`, `δ(Fᵀ g) = M δg`; see `lanes::tangent::Drift`.
+/// The drift of one node, linearized: `ζ⁺ = Fᵀ ζ + Θ δg`, `δ(Fᵀ g) = M δg`; see `tangent::Drift`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodeDrift {
     /// `h/m`, s/kg.

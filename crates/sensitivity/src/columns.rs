@@ -18,8 +18,8 @@ pub(super) const AT_ONCE: usize = 2;
 macro_rules! for_all_vectors {
     ($at:expr, $used:expr, $V:ident => $call:expr) => {{
         $at = 0;
-        while $at + $crate::sensitivity::columns::AT_ONCE <= $used {
-            const $V: usize = $crate::sensitivity::columns::AT_ONCE;
+        while $at + $crate::columns::AT_ONCE <= $used {
+            const $V: usize = $crate::columns::AT_ONCE;
             $call;
             $at += $V;
         }

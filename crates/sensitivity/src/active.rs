@@ -8,25 +8,24 @@ use pulp::{Simd, WithSimd};
 use super::along::Along;
 use super::step::WinchKick;
 use super::winches::WinchDrift;
-use crate::buffer::Buffer;
-use crate::lanes::curved::{CurvedEnd, StressBlocks};
-use crate::lanes::tangent::{NodePose, POSE_ROWS, put_pose};
-use crate::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
-use crate::lanes::{CountLanes, dispatch};
+use crate::curved::{CurvedEnd, StressBlocks};
 use crate::linearization::Motion;
+use crate::tangent::{NodePose, POSE_ROWS, put_pose};
+use cosserat::buffer::Buffer;
 use cosserat::configuration::Trajectory;
 use cosserat::element::{
     ActivePoint, ActiveTangent, Blocks, Displacement, Elasticity, Element, Helical, StrainRule,
     Stress, TangentRule, Trapezoidal, Turns, stiffness_under,
 };
 use cosserat::forces::{IntervalMemory, SlopeMemory};
-use cosserat::instructions::instructions;
+use cosserat::instructions::{CountLanes, dispatch, instructions};
 use cosserat::load::Wrench;
 use cosserat::part::{Part, apart};
 use cosserat::rod::Rod;
 use cosserat::signal::{ControlSignal, Efforts, write_interval_efforts, write_node_efforts};
 use cosserat::strain_actuator::{EffortState, RodActuators};
 use cosserat::time::TimeScheme;
+use cosserat::vector::{Lanes, Mat3, Row, Vec3, rows};
 
 /// Efforts of a group of time nodes of a motion, one time node in each lane.
 #[derive(Debug)]

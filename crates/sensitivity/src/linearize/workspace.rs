@@ -5,13 +5,13 @@ use pulp::Simd;
 
 use super::super::active::ActiveTimes;
 use super::solved::SolveRows;
-use crate::buffer::Buffer;
 use crate::curvature::IntervalCurvature;
-use crate::lanes::tangent::{POSE_ROWS, put_pose};
-use crate::lanes::vector::{Mat3, Row};
 use crate::linearization::Motion;
+use crate::tangent::{POSE_ROWS, put_pose};
+use cosserat::buffer::Buffer;
 use cosserat::configuration::Trajectory;
 use cosserat::rod::Rod;
+use cosserat::vector::{Mat3, Row};
 
 /// `λx` and `λr` times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends, then `λx` and `μx`.
 pub const MULTIPLIER_ROWS: usize = 18;
@@ -83,15 +83,7 @@ impl Workspace {
         n_lanes: usize,
     ) {
         let end = trajectory.n_times() - 1;
-        for lane in 0..n_lanes {
-            put_time_node(
-                &mut self.poses,
-                trajectory,
-                (first + lane).min(last),
-                lane,
-                n_lanes,
-            );
-        }
+        self.put_own_poses(trajectory, first, last, n_lanes);
         // The neighbors are those of the next lane and of the lane before, but for one.
         let n = self.poses.len();
         self.next[..n - 1].copy_from_slice(&self.poses[1..]);
@@ -108,6 +100,20 @@ impl Workspace {
                 0,
                 n_lanes,
             );
+        }
+    }
+
+    /// [`Self::put_poses`] without those before and after.
+    pub fn put_own_poses(
+        &mut self,
+        trajectory: &Trajectory,
+        first: usize,
+        last: usize,
+        n_lanes: usize,
+    ) {
+        for lane in 0..n_lanes {
+            let k = (first + lane).min(last);
+            put_time_node(&mut self.poses, trajectory, k, lane, n_lanes);
         }
     }
 }

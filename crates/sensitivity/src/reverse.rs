@@ -9,8 +9,8 @@ use super::combined::Combined;
 use super::step::{LinearizedStep, SolvedDrift, hold};
 use super::winches::{WinchRows, arrive_transposed, leave_transposed};
 use super::{TILE, Task, step_flops, visit_efforts};
-use crate::buffer::Buffer;
 use crate::linearization::{AdjointSweep, StateTangent};
+use cosserat::buffer::Buffer;
 use cosserat::forms::{NODE_COMPONENTS, StateForm, forms_at};
 
 /// Covectors of [`TILE`] forms: row `node * 12 + component`, form fastest.
@@ -132,6 +132,17 @@ impl ReverseTile {
             }
             self.read_start(task);
         }
+    }
+
+    /// Returns the covectors that the sum of all forms met, and its values on so many columns.
+    pub fn into_sum(mut self, n_columns: usize) -> (AdjointSweep, Vec<f64>) {
+        let start = self.start_of(0);
+        let values = (0..n_columns)
+            .map(|column| self.values[column * TILE])
+            .collect();
+        let sum = self.sum.take().map(|sum| AdjointSweep { start, ..sum });
+        let sweep = sum.unwrap_or_else(|| AdjointSweep::zeros(0, 0));
+        (sweep, values)
     }
 
     /// The forms of this time node; held nodes have no tangent.

@@ -130,7 +130,8 @@ impl Drop for Leaving<'_> {
 
 // A lock is poisoned only where a panic is on its way to the caller anyway.
 
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+/// Locks, also where another thread has panicked.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

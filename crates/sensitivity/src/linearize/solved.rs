@@ -11,23 +11,23 @@
 //!
 //! and the weights of both impulses add up to that of the kick: either scheme has the elastic stress of the time node with the kick's
 //! weight, and the changes of the strain with `β` and `-γ`. How the stress of the interval after it answers to the interval's end, `X`, is
-//! the only other matrix of an element; see [`SolvedDrift`](crate::sensitivity::SolvedDrift).
+//! the only other matrix of an element; see [`SolvedDrift`](crate::SolvedDrift).
 
 use pulp::Simd;
 
 use super::{Group, Reach, matrix, scatter, store, store_block};
-use crate::buffer::Buffer;
-use crate::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, spin};
-use crate::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
+use crate::active::{ActiveTimes, times};
 use crate::linearization::{Kick, Motion};
-use crate::sensitivity::active::{ActiveTimes, times};
-use crate::sensitivity::step::LinearizedStep;
+use crate::step::LinearizedStep;
+use crate::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, spin};
 use cosserat::block_tridiagonal::{Square, invert, multiply, negate};
+use cosserat::buffer::Buffer;
 use cosserat::element::{ActiveTangent, Blocks, Elasticity, Stress, TangentRule, stiffness_under};
 use cosserat::ends::Joint;
 use cosserat::implicit::IntervalWeights;
 use cosserat::rod::Rod;
 use cosserat::time::TimeScheme;
+use cosserat::vector::{Lanes, Mat3, Row, Vec3, rows};
 
 /// Rows of a node: `Fᵀ` and `Θ⁻¹`.
 const SPIN_ROWS: usize = 18;
@@ -38,7 +38,7 @@ const WEIGHT_ROWS: usize = 3;
 
 /// Additional data of the time nodes of steps that are solved for.
 #[derive(Debug)]
-pub(in crate::sensitivity) struct SolveRows {
+pub(crate) struct SolveRows {
     spins: Buffer,
     couplings: Buffer,
     weights: Buffer,
@@ -116,7 +116,7 @@ impl SolveRows {
 
 /// Weights of the elastic stress, and of those that the change of the strain until the next time node and since the last one makes, s.
 #[derive(Clone, Copy)]
-pub(in crate::sensitivity) struct Weights<S: Simd> {
+pub(crate) struct Weights<S: Simd> {
     pub elastic: Lanes<S>,
     pub after: Lanes<S>,
     pub past: Lanes<S>,
@@ -497,7 +497,7 @@ fn taken_by_motion<S: Simd>(
 
 /// The pose of element `q`, and one where its ends are farther apart than the reach, or no numbers.
 #[inline(always)]
-pub(in crate::sensitivity) fn element_at<S: Simd, R: TangentRule, P: Reach<S>>(
+pub(crate) fn element_at<S: Simd, R: TangentRule, P: Reach<S>>(
     simd: S,
     poses: &[Row<S>],
     q: usize,

@@ -5,13 +5,13 @@ use pulp::Simd;
 use super::active::sum;
 use super::linearize::{Group, Inertias, MULTIPLIER_ROWS, Reach, element_at, store_block};
 use crate::curvature::StressCurvature;
-use crate::lanes::curved::{CurvedEnd, stress_curvature};
-use crate::lanes::tangent::{NodePose, POSE_ROWS};
-use crate::lanes::vector::{Lanes, Row, Vec3, rows};
+use crate::curved::{CurvedEnd, stress_curvature};
+use crate::tangent::{NodePose, POSE_ROWS};
 use cosserat::element::ElementStiffness;
 use cosserat::element::{Blocks, Elasticity, TangentRule};
 use cosserat::implicit::IntervalWeights;
 use cosserat::time::TimeScheme;
+use cosserat::vector::{Lanes, Row, Vec3, rows};
 
 type Part = fn(&mut StressCurvature) -> &mut ElementStiffness;
 

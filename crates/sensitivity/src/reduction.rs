@@ -7,8 +7,8 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::step::StepCurvature;
 use super::{BATCH, TILE};
-use crate::buffer::Buffer;
 use crate::curvature::{OwnCurvature, own_within};
+use cosserat::buffer::Buffer;
 use cosserat::forms::NODE_COMPONENTS;
 
 /// Rows of a tile at one round of time nodes, stored for the curvature.

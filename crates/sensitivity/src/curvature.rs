@@ -25,10 +25,9 @@ use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pulp::Scalar;
 
-use super::lanes;
-use super::lanes::curved::{CurvedEnd, StressBlocks, stress_curvature as stress_blocks};
-use super::lanes::vector::{Mat3, Vec3};
+use super::curved::{CurvedEnd, StressBlocks, stress_curvature as stress_blocks};
 use super::linearization::{AdjointSweep, Motion};
+use super::tangent;
 use cosserat::configuration::Trajectory;
 use cosserat::element::rule::DIFFERENCE_STEP;
 use cosserat::element::{
@@ -40,6 +39,7 @@ use cosserat::load::LoadFrame;
 use cosserat::rod::Rod;
 use cosserat::rotation::exp;
 pub use cosserat::rotation::load_curvature;
+use cosserat::vector::{Mat3, Vec3};
 
 /// Second derivative along `(δx_b - δx_a, ζ_a, ζ_b)` of an element; symmetric.
 pub type ElementCurvature = SMatrix<f64, 9, 9>;
@@ -345,7 +345,7 @@ fn stress_curvature_by<R: TangentRule>(
     StressCurvature { start, cross, end }
 }
 
-/// Second derivative of the momenta of a node over an interval, see `lanes::tangent::inertia_curvature`.
+/// Second derivative of the momenta of a node over an interval, see [`tangent::inertia_curvature`].
 #[must_use]
 pub fn inertia_curvature(
     rotary: [&Vector3<f64>; 2],
@@ -357,7 +357,7 @@ pub fn inertia_curvature(
     let [before, after] = [before, after].map(|v| Vec3::splat(Scalar, v));
     let turn = Mat3::of_matrix(turn);
     let [own, mixed, far] =
-        lanes::tangent::inertia_curvature(rotary, time_step, turn, before, after).map(Mat3::matrix);
+        tangent::inertia_curvature(rotary, time_step, turn, before, after).map(Mat3::matrix);
     let mut curvature = InertiaCurvature::zeros();
     for (row, column, block) in [
         (0, 0, own),

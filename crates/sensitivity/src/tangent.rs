@@ -10,8 +10,8 @@
 use nalgebra::{Matrix3, Vector3};
 use pulp::Simd;
 
-use super::vector::{Lanes, Mat3, Row, Vec3};
 use cosserat::rotation_step::{inverse_alpha, momentum, momentum_slope, spin_inertia};
+use cosserat::vector::{Lanes, Mat3, Row, Vec3};
 
 /// Number of rows of a pose: position, rotation matrix row by row.
 pub const POSE_ROWS: usize = 12;

@@ -29,12 +29,8 @@ use crate::curvature::{
     InertiaCurvature, IntervalCurvature, MotionMultipliers, StressCurvature, active_curvature,
     element_curvature, load_curvatures,
 };
-use crate::lanes::tangent::{
-    LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to, inertia_curvature,
-};
-use crate::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
-use crate::lanes::{CountLanes, dispatch};
 use crate::linearization::{Kick, Motion, acting_derivatives, load_derivatives};
+use crate::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to, inertia_curvature};
 use cosserat::configuration::Trajectory;
 use cosserat::element::{
     AnyTurn, Blocks, Displacement, ElementStiffness, Helical, MildTurn, RodModel, StrainRule,
@@ -42,10 +38,12 @@ use cosserat::element::{
 };
 use cosserat::guards::not_finite;
 use cosserat::inertia::InertiaRule;
+use cosserat::instructions::{CountLanes, dispatch};
 use cosserat::rod::Rod;
 use cosserat::rotation::cay_inverse;
 use cosserat::step_error::StepError;
 use cosserat::time::TimeScheme;
+use cosserat::vector::{Lanes, Mat3, Row, Vec3, rows};
 
 /// Memory of a linearization, for motions of one rod.
 #[derive(Debug)]

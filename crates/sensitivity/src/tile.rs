@@ -12,8 +12,8 @@ use super::reduction::Record;
 use super::step::{LinearizedStep, ResistedDrift, SolvedDrift, hold};
 use super::winches::{WinchRows, arrive, leave};
 use super::{INCREMENT_ROWS, TILE, Task, step_flops, visit_efforts};
-use crate::buffer::Buffer;
 use crate::linearization::StateTangent;
+use cosserat::buffer::Buffer;
 use cosserat::ends::Joint;
 use cosserat::forms::{NODE_COMPONENTS, forms_at};
 

@@ -8,7 +8,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::linearization::Motion;
-use super::sensitivity::{LinearizedStep, NodeDrift, linearized_steps};
+use super::{LinearizedStep, NodeDrift, linearized_steps};
 use cosserat::forms::StateForm;
 use cosserat::implicit::IntervalWeights;
 use cosserat::{RodModel, StepError, Trajectory};

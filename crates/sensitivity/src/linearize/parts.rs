@@ -5,8 +5,8 @@ use std::marker::PhantomData;
 use pulp::Simd;
 
 use super::{Group, Reach};
-use crate::lanes::vector::Lanes;
 use cosserat::part::{Part, apart};
+use cosserat::vector::Lanes;
 
 /// A part of a linearization.
 pub trait Work<S: Simd> {
@@ -76,7 +76,7 @@ impl<S: Simd, W: Work<S>> Part for Apart<'_, '_, S, W> {
 impl Group<'_> {
     /// Does a part of the linearization; counts what is irregular, lane by lane.
     #[inline(always)]
-    pub(in crate::sensitivity) fn apart<S: Simd, W: Work<S>>(&mut self, simd: S) -> Lanes<S> {
+    pub(crate) fn apart<S: Simd, W: Work<S>>(&mut self, simd: S) -> Lanes<S> {
         let part = Apart {
             group: self,
             simd,

@@ -11,19 +11,18 @@ use nalgebra::Vector3;
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
 use super::linearize::{Reach, Weights, Workspace, element_at, is_possible};
-use crate::buffer::Buffer;
-use crate::lanes::vector::{Lanes, Row, Vec3, rows};
-use crate::lanes::{CountLanes, dispatch};
 use crate::linearization::{AdjointSweep, Motion};
+use cosserat::buffer::Buffer;
 use cosserat::configuration::Trajectory;
 use cosserat::element::{
     ActivePoint, AnyTurn, Density, Element, Helical, MildTurn, RodModel, StrainRule, Stress,
     TangentRule, Trapezoidal,
 };
-use cosserat::instructions::instructions;
+use cosserat::instructions::{CountLanes, dispatch, instructions};
 use cosserat::rod::Rod;
 use cosserat::rotation_step::momentum_coefficients;
 use cosserat::time::TimeScheme;
+use cosserat::vector::{Lanes, Row, Vec3, rows};
 
 /// Coefficients of the stiffness, strain at rest, inertia, weight and lines of actuators of a rod in `-λ·r`, the sum over a motion, or over several
 /// of one rod.
@@ -43,8 +42,8 @@ pub struct CovectorSums {
 const ELEMENT_ROWS: usize = 18;
 /// Rows of a point of an actuator: its part of the sum, and the derivatives along its offset and the slope of that.
 const POINT_ROWS: usize = 5;
-/// Step of these derivatives, as a part of the length of the element.
-const POINT_STEP: f64 = 1e-4;
+/// Step of these derivatives for learned densities, as a part of the length of the element.
+const POINT_STEP: f64 = 1e-6;
 
 impl CovectorSums {
     /// Returns sums over no motion.
@@ -122,6 +121,22 @@ impl CovectorSums {
                 let leaving = momentum_coefficients(&turn, &sweep.angular[here], 1.0);
                 self.rotary[q] += (arriving * decay - leaving) / grid.step;
             }
+        }
+    }
+
+    /// Adds those of other motions.
+    pub fn add_sums(&mut self, other: &Self) {
+        for (sum, own) in self.elements.iter_mut().zip(&other.elements) {
+            *sum += own;
+        }
+        for (sum, own) in self.mass.iter_mut().zip(&other.mass) {
+            *sum += own;
+        }
+        for (sum, own) in self.rotary.iter_mut().zip(&other.rotary) {
+            *sum += own;
+        }
+        for (sum, own) in self.weight.iter_mut().zip(&other.weight) {
+            *sum += own;
         }
     }
 
@@ -212,6 +227,11 @@ impl Contracted {
                 own.add_to(motion, (k, k), &mut out);
             }
         }
+        for own in many.iter().chain(&single) {
+            for (sum, row) in out.sums.iter_mut().zip(own.sums.chunks_exact(own.n_lanes)) {
+                *sum += row.iter().sum::<f64>();
+            }
+        }
         out
     }
 }
@@ -224,6 +244,8 @@ struct Contraction {
     /// Rows of the elements, of the points, of the lines under the efforts at the time node or after it, and before it; one for what is
     /// irregular.
     out: Buffer,
+    /// Sums of the rows of elements and points.
+    sums: Buffer,
     n_lanes: usize,
 }
 
@@ -234,11 +256,13 @@ impl Contraction {
 
     fn new(motion: &Motion, n_lanes: usize) -> Self {
         let rod = motion.rod;
-        let n_rows = Self::n_rows(rod) + 2 * rod.actuators.n_efforts() + 1;
+        let n_sums = Self::n_rows(rod);
+        let n_rows = n_sums + 2 * rod.actuators.n_efforts() + 1;
         Self {
             workspace: Workspace::new(motion, n_lanes),
             covectors: Buffer::zeros(6 * rod.n_nodes() * n_lanes),
             out: Buffer::zeros(n_rows * n_lanes),
+            sums: Buffer::zeros(n_sums * n_lanes),
             n_lanes,
         }
     }
@@ -253,8 +277,14 @@ impl Contraction {
     ) -> bool {
         let n_lanes = self.n_lanes;
         let n_steps = motion.grid.n_steps;
-        self.workspace.put_poses(trajectory, start, end, n_lanes);
-        self.covectors.fill(0.0);
+        if self.workspace.solve.is_some() {
+            self.workspace.put_poses(trajectory, start, end, n_lanes);
+        } else {
+            (self.workspace).put_own_poses(trajectory, start, end, n_lanes);
+        }
+        if end - start + 1 < n_lanes {
+            self.covectors.fill(0.0);
+        }
         for lane in 0..n_lanes {
             let k = (start + lane).min(end);
             let kick = motion.kick(k);
@@ -296,12 +326,12 @@ impl Contraction {
         self.out[last..].iter().all(|count| *count == 0.0)
     }
 
-    fn add_to(&self, motion: &Motion, (start, end): (usize, usize), out: &mut Contracted) {
-        let n_lanes = self.n_lanes;
-        let mut rows = self.out.chunks_exact(n_lanes);
-        for (sum, row) in out.sums.iter_mut().zip(&mut rows) {
-            *sum += row.iter().sum::<f64>();
+    /// Adds what was evaluated: rows of elements and points lane by lane, and those of the lines to their sets.
+    fn add_to(&mut self, motion: &Motion, (start, end): (usize, usize), out: &mut Contracted) {
+        for (sum, own) in self.sums.iter_mut().zip(&*self.out) {
+            *sum += own;
         }
+        let mut rows = self.out[self.sums.len()..].chunks_exact(self.n_lanes);
         let m = motion.rod.actuators.n_efforts();
         for before in [0, 1] {
             for line in 0..m {
@@ -431,7 +461,11 @@ impl Group<'_> {
                         weight,
                         rule: PhantomData,
                     };
-                    let own = on.of(&at);
+                    let (own, slopes) = if points {
+                        on.with_slopes(&at, element.length)
+                    } else {
+                        (on.of(&at), [zero; 4])
+                    };
                     let line = first_line + part * rod.actuators.n_efforts() + point.line;
                     let row = &mut sums[line - first_point];
                     *row = (Lanes { simd, value: *row } + own).value;
@@ -439,7 +473,6 @@ impl Group<'_> {
                         let efforts = active.part::<S>(&rod.actuators, part);
                         let effort = efforts.effort(simd, point.line);
                         sum[0] = sum[0] + own * effort;
-                        let slopes = on.slopes(&at, element.length);
                         for (sum, slope) in sum[1..].iter_mut().zip(slopes) {
                             *sum = *sum + slope * effort;
                         }
@@ -481,9 +514,26 @@ impl<S: Simd, R: TangentRule> PointWork<'_, S, R> {
         -(work * self.weight)
     }
 
-    /// Returns the derivatives along the offset and its slope, by differences.
+    /// Returns also the derivatives along the offset and its slope; of learned densities by differences.
     #[inline(always)]
-    fn slopes(&self, at: &ActivePoint<S>, length: f64) -> [Lanes<S>; 4] {
+    fn with_slopes(&self, at: &ActivePoint<S>, length: f64) -> (Lanes<S>, [Lanes<S>; 4]) {
+        if matches!(self.density, Density::Learned(_)) {
+            return (self.of(at), self.differences(at, length));
+        }
+        let strain = (self.strain.linear, self.strain.angular);
+        let (change, slopes) = if R::ENDS == 1 {
+            at.change::<1>(self.density, strain, self.along)
+        } else {
+            at.change::<2>(self.density, strain, self.along)
+        };
+        let [first, second, far, further] = slopes.map(|slope| -(slope * self.weight));
+        let ways = [far * length, further * length];
+        (-(change * self.weight), [first, second, ways[0], ways[1]])
+    }
+
+    /// Returns the derivatives along the offset and its slope by differences.
+    #[inline(always)]
+    fn differences(&self, at: &ActivePoint<S>, length: f64) -> [Lanes<S>; 4] {
         let step = POINT_STEP * length;
         let mut out = [self.weight; 4];
         for i in 0..2 {

@@ -6,22 +6,21 @@ use nalgebra::Vector3;
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
 use super::linearize::{Reach, Weights, Workspace, element_at, is_possible, turn_error};
-use crate::buffer::Buffer;
-use crate::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to};
-use crate::lanes::vector::{Lanes, Row, Vec3, rows};
-use crate::lanes::{CountLanes, dispatch};
 use crate::linearization::{Defects, Kick, Motion};
+use crate::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to};
+use cosserat::buffer::Buffer;
 use cosserat::configuration::Trajectory;
 use cosserat::element::StrainRule;
 use cosserat::element::{AnyTurn, Elasticity, Helical, MildTurn, TangentRule, Trapezoidal};
 use cosserat::guards::not_finite;
 use cosserat::inertia::InertiaRule;
-use cosserat::instructions::instructions;
+use cosserat::instructions::{CountLanes, dispatch, instructions};
 use cosserat::pose_actuator::Posed;
 use cosserat::rod::Rod;
 use cosserat::rotation::cay_inverse;
 use cosserat::signal::ControlSignal;
 use cosserat::step_error::StepError;
+use cosserat::vector::{Lanes, Row, Vec3, rows};
 
 /// Evaluates the defects of a trajectory under a control; on every instruction set the same to the bit.
 ///

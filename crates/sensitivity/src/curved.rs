@@ -6,12 +6,12 @@ use std::marker::PhantomData;
 
 use pulp::Simd;
 
-use super::vector::{Lanes, Mat3, Vec3};
 use cosserat::element::{
     Blocks, Displacement, Elasticity, Stress, TangentRule, Turns, stiffness_under,
 };
 use cosserat::implicit::IntervalWeights;
 use cosserat::part::{Part, apart};
+use cosserat::vector::{Lanes, Mat3, Vec3};
 
 /// An element at one end of an interval, and the constant components `(dx; body a; body b)` along which its pull is taken.
 #[derive(Clone, Copy)]
