@@ -4,6 +4,7 @@ use crate::common::learned::learned;
 use crate::common::{Dice, busy_arm, random_state};
 
 use nalgebra::{Matrix3, Vector3};
+use softarm::mechanics::instructions::{InstructionSet, limit_instructions};
 use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rollout::{Beside, ControlRows, Rollout};
 use softarm::mechanics::rotation::{exp, hat};
@@ -246,6 +247,15 @@ fn compare(what: &str, arm: &RodParameters, numbers: &[Number], kind: (bool, boo
             .pull_back(&states, &covectors, &beside, n_threads)
             .expect(what);
         assert_eq!(same, found, "{what}, {n_threads} threads");
+    }
+    // Both fuse products and sums.
+    if cfg!(target_arch = "x86_64") {
+        limit_instructions(InstructionSet::Avx2);
+        let same = rollout((&rod, step), &controls, &stop)
+            .pull_back(&states, &covectors, &beside, 1)
+            .expect(what);
+        limit_instructions(InstructionSet::Best);
+        assert_eq!(same, found, "{what}, AVX2");
     }
     for (number, found) in numbers.iter().zip(&found.numbers) {
         let expected = derivative(number.1, |x| {

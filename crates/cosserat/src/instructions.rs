@@ -18,7 +18,7 @@ pub enum InstructionSet {
 
 static MOST: AtomicU8 = AtomicU8::new(InstructionSet::Best as u8);
 
-/// Limits the instructions of all kernels of this process, for measurements: results are the same to the bit.
+/// Limits the instructions of all kernels of this process, for measurements: motions are the same to the bit.
 pub fn limit_instructions(most: InstructionSet) {
     MOST.store(most as u8, Ordering::Relaxed);
 }

@@ -514,7 +514,7 @@ pub fn times<S: Simd>(mut blocks: Blocks<S>, factor: f64) -> Blocks<S> {
 }
 
 /// Number of lanes of the widest vectors.
-const MOST_LANES: usize = 8;
+pub(super) const MOST_LANES: usize = 8;
 
 /// Wrenches on the nodes under a unit effort of each of some actuators, and their derivatives along the configuration.
 ///

@@ -10,6 +10,7 @@ use std::marker::PhantomData;
 use nalgebra::Vector3;
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
+use super::active::MOST_LANES;
 use super::linearize::{Reach, Weights, Workspace, element_at, is_possible};
 use crate::linearization::{AdjointSweep, Motion};
 use cosserat::buffer::Buffer;
@@ -206,8 +207,9 @@ impl Contracted {
         let n_efforts = rod.actuators.n_efforts();
         let mut out = Self {
             lines: vec![0.0; n_efforts * motion.n_sets()],
-            sums: vec![0.0; Contraction::n_rows(rod)],
+            sums: Vec::new(),
         };
+        let mut sums = vec![[0.0; MOST_LANES]; Contraction::n_rows(rod)];
         let mut many =
             is_possible(motion).then(|| Contraction::new(motion, dispatch(arch, CountLanes)));
         let mut single = None;
@@ -218,20 +220,16 @@ impl Contracted {
             if let Some(own) = &mut many
                 && own.evaluate(Some(arch), along, (start, end), points)
             {
-                own.add_to(motion, (start, end), &mut out);
+                own.add_to(motion, (start, end), (&mut sums, &mut out.lines));
                 continue;
             }
             let own = single.get_or_insert_with(|| Contraction::new(motion, 1));
             for k in start..=end {
                 own.evaluate(None, along, (k, k), points);
-                own.add_to(motion, (k, k), &mut out);
+                own.add_to(motion, (k, k), (&mut sums, &mut out.lines));
             }
         }
-        for own in many.iter().chain(&single) {
-            for (sum, row) in out.sums.iter_mut().zip(own.sums.chunks_exact(own.n_lanes)) {
-                *sum += row.iter().sum::<f64>();
-            }
-        }
+        out.sums = sums.iter().map(|parts| parts.iter().sum()).collect();
         out
     }
 }
@@ -244,8 +242,6 @@ struct Contraction {
     /// Rows of the elements, of the points, of the lines under the efforts at the time node or after it, and before it; one for what is
     /// irregular.
     out: Buffer,
-    /// Sums of the rows of elements and points.
-    sums: Buffer,
     n_lanes: usize,
 }
 
@@ -256,13 +252,11 @@ impl Contraction {
 
     fn new(motion: &Motion, n_lanes: usize) -> Self {
         let rod = motion.rod;
-        let n_sums = Self::n_rows(rod);
-        let n_rows = n_sums + 2 * rod.actuators.n_efforts() + 1;
+        let n_rows = Self::n_rows(rod) + 2 * rod.actuators.n_efforts() + 1;
         Self {
             workspace: Workspace::new(motion, n_lanes),
             covectors: Buffer::zeros(6 * rod.n_nodes() * n_lanes),
             out: Buffer::zeros(n_rows * n_lanes),
-            sums: Buffer::zeros(n_sums * n_lanes),
             n_lanes,
         }
     }
@@ -326,12 +320,20 @@ impl Contraction {
         self.out[last..].iter().all(|count| *count == 0.0)
     }
 
-    /// Adds what was evaluated: rows of elements and points lane by lane, and those of the lines to their sets.
-    fn add_to(&mut self, motion: &Motion, (start, end): (usize, usize), out: &mut Contracted) {
-        for (sum, own) in self.sums.iter_mut().zip(&*self.out) {
-            *sum += own;
+    /// Adds rows of elements and points, in parts that do not depend on the number of lanes, and those of the lines to their sets.
+    fn add_to(
+        &self,
+        motion: &Motion,
+        (start, end): (usize, usize),
+        (sums, lines): (&mut [[f64; MOST_LANES]], &mut [f64]),
+    ) {
+        let mut rows = self.out.chunks_exact(self.n_lanes);
+        let first = start % MOST_LANES;
+        for (parts, row) in sums.iter_mut().zip(&mut rows) {
+            for (sum, own) in parts[first..].iter_mut().zip(row) {
+                *sum += own;
+            }
         }
-        let mut rows = self.out[self.sums.len()..].chunks_exact(self.n_lanes);
         let m = motion.rod.actuators.n_efforts();
         for before in [0, 1] {
             for line in 0..m {
@@ -339,7 +341,7 @@ impl Contraction {
                 for (k, number) in (start..=end).zip(row) {
                     let set = k.checked_sub(before).filter(|set| *set < motion.n_sets());
                     if let Some(set) = set {
-                        out.lines[set * m + line] += number;
+                        lines[set * m + line] += number;
                     }
                 }
             }
