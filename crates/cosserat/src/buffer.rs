@@ -12,6 +12,7 @@ pub struct Buffer {
 
 impl Buffer {
     /// Memory of so many numbers, all 0.
+    #[inline]
     #[must_use]
     pub fn zeros(len: usize) -> Self {
         const LINE: usize = 64;
@@ -24,12 +25,14 @@ impl Buffer {
 impl Deref for Buffer {
     type Target = [f64];
 
+    #[inline]
     fn deref(&self) -> &[f64] {
         &self.store[self.start..][..self.len]
     }
 }
 
 impl DerefMut for Buffer {
+    #[inline]
     fn deref_mut(&mut self) -> &mut [f64] {
         &mut self.store[self.start..][..self.len]
     }

@@ -47,7 +47,7 @@ pub type ElementCurvature = SMatrix<f64, 9, 9>;
 /// Second derivative along the rotations `(ζ_k, ζ_{k+1})` of one node at the two ends of an interval; symmetric.
 pub type InertiaCurvature = SMatrix<f64, 6, 6>;
 
-/// Multipliers of the equations of motion, as [`adjoint`](super::sensitivity::adjoint) takes and
+/// Multipliers of the equations of motion, as [`adjoint`](super::adjoint) takes and
 /// returns them for the same motion and trajectory; unit: that of the functional per unit of momentum.
 #[derive(Clone, Copy, Debug)]
 pub struct MotionMultipliers<'a> {
@@ -345,7 +345,7 @@ fn stress_curvature_by<R: TangentRule>(
     StressCurvature { start, cross, end }
 }
 
-/// Second derivative of the momenta of a node over an interval, see [`tangent::inertia_curvature`].
+/// Second derivative of the momenta of a node over an interval, see `tangent::inertia_curvature`.
 #[must_use]
 pub fn inertia_curvature(
     rotary: [&Vector3<f64>; 2],

@@ -162,7 +162,7 @@ pub struct Sensitivities {
     /// `n_forms × n_sources`: the forms' answers to the sources, with no change of control.
     pub form_sources: Mat<f64>,
     /// Second derivative of the Lagrangian along the columns, where multipliers were given: `n_columns × n_columns`,
-    /// symmetric; unit of the functional per unit of both columns. See [`curvature`](super::curvature).
+    /// symmetric; unit of the functional per unit of both columns. See [`curvature`].
     pub curvature: Option<Mat<f64>>,
     /// Second derivative of the Lagrangian between every column and the responses to the sources, `n_columns × n_sources`: the contribution
     /// of defects to the gradient of the model.

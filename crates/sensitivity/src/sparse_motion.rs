@@ -1,7 +1,7 @@
 //! The linearized discrete equations of motion as sparse rows over all configurations, none of them eliminated.
 //!
 //! Unknowns are `δx/L` (spatial) and `ζ` (body) of every free node at the time nodes `1..=N`, `L` the rod's length. With the drift of
-//! [`NodeDrift`](super::sensitivity::NodeDrift) the momenta of an interval are `δp = (m/h)(δx⁺ - δx)` and `δg = Θ⁻¹(ζ⁺ - Fᵀζ)`, and
+//! [`NodeDrift`](super::NodeDrift) the momenta of an interval are `δp = (m/h)(δx⁺ - δx)` and `δg = Θ⁻¹(ζ⁺ - Fᵀζ)`, and
 //! `M δg` where they arrive; the rows are the paper's (77) and (81), linearized, times `h/(mL)` and `Θ`: the configuration at the end
 //! of the step has the coefficient 1 in each.
 

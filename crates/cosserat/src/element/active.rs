@@ -500,9 +500,7 @@ impl<S: Simd> ActivePoint<S> {
             self.add_at(density, (linear[1], psi), half, 1, (first, second));
         }
     }
-}
 
-impl<S: Simd> ActivePoint<S> {
     /// Returns the change `dy` of the coordinate along a change `(l δv_a, l δv_b, δψ)` of the strain, and the derivatives of `dy` along the
     /// components of `d` and of `l d'`; zeros of a learned density.
     ///

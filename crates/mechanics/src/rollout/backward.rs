@@ -5,8 +5,8 @@
 //! each interval, beside the linearization of others. What is found is added up in the order of the intervals: the result does not depend on
 //! the number of threads.
 
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use super::{Beside, Columns, Rollout, RolloutError, RolloutGradient};
 use cosserat::configuration::{State, Trajectory};
@@ -91,8 +91,9 @@ impl<'a> Backward<'a> {
     ) -> Result<RolloutGradient, RolloutError> {
         let (rod, controls) = (self.rollout.rod, self.rollout.controls);
         let n = controls.n_intervals();
+        let n_threads = n_threads.min(n);
         // One thread sweeps an interval before it linearizes the next one in the same memory; several fill other memory beside the sweep.
-        let (group, n_groups_linearized) = if n_threads > 1 {
+        let (group, n_linearized) = if n_threads > 1 {
             (2 * n_threads, 2)
         } else {
             (1, 1)
@@ -104,7 +105,7 @@ impl<'a> Backward<'a> {
             None => 0..0,
         };
         let passages: Vec<Mutex<Passage>> = (0..ROUNDS * group).map(|_| Mutex::default()).collect();
-        let steps: Vec<Mutex<Vec<LinearizedStep>>> = (0..n_groups_linearized * group)
+        let steps: Vec<Mutex<Vec<LinearizedStep>>> = (0..n_linearized * group)
             .map(|_| Mutex::default())
             .collect();
         let passage = |place: usize| lock(&passages[place % passages.len()]);
@@ -182,9 +183,7 @@ impl<'a> Backward<'a> {
         if let Some((_, error)) = lock(&failure).take() {
             return Err(error);
         }
-        let sums = sums
-            .into_inner()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let sums = sums.into_inner().unwrap_or_else(PoisonError::into_inner);
         Ok(self.total(sums))
     }
 

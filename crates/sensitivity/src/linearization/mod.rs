@@ -1,5 +1,5 @@
 //! The discrete equations of motion along a given trajectory, and the quantities of their linearization. What is evaluated of them,
-//! defects, linearized steps and the sweeps through these, is in [`sensitivity`](super::sensitivity).
+//! defects, linearized steps and the sweeps through these, is in the [crate](super) itself.
 //!
 //! A trajectory of configurations defines the half-step momenta `p^{k+½} = m (x^{k+1} - x^k)/h` and
 //! `g^{k+½} = (1/h) vee(F J_d - J_d Fᵀ)`, `F = R^{k,T} R^{k+1}`. The rows are, for `k = 0..N-1` and every free node
@@ -11,7 +11,7 @@
 //! ```
 //!
 //! where `k = 0` is the initial Legendre transform (`p^{-½}` is the given initial momentum), and the momentum at `N`
-//! is the terminal one. A trajectory whose defects vanish is what a [`Stepper`](super::Stepper) computes.
+//! is the terminal one. A trajectory whose defects vanish is what a stepper computes.
 //!
 //! A stress of the [interval](cosserat::implicit) acts where the interval starts, after the kick there, and where it ends: that
 //! impulse is added to the momentum that arrives, `p^{k-½}` above.
