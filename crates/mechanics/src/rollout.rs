@@ -2,7 +2,7 @@
 //! numbers of the arm.
 //!
 //! Control holds for an interval of several time steps; between two intervals the arm has a [`State`]. The derivative of a function of these
-//! states goes backward, interval by interval: an [adjoint sweep](super::sensitivity::adjoint_along) takes the covector of a state to that of
+//! states goes backward, interval by interval: an [adjoint sweep](super::sensitivity::adjoint_through) takes the covector of a state to that of
 //! the one before, and on its way reads the controls and the [numbers](super::sensitivity::Neighbor). The motion within an interval is computed
 //! again from its first state, so that memory is that of the states and of a few intervals, whatever the duration.
 
