@@ -230,35 +230,18 @@ pub fn adjoint(
     forms: &[StateForm],
     n_threads: usize,
 ) -> Result<AdjointSweep, StepError> {
-    let nothing = OneColumn(&ControlSignal::default());
-    adjoint_along(motion, trajectory, forms, &nothing, n_threads).map(|(sweep, _)| sweep)
-}
-
-/// [`adjoint`], with the values of the sum on the answers to the columns of a control.
-///
-/// # Errors
-/// As [`adjoint`].
-pub fn adjoint_along(
-    motion: &Motion,
-    trajectory: &Trajectory,
-    forms: &[StateForm],
-    columns: &dyn ControlColumns,
-    n_threads: usize,
-) -> Result<(AdjointSweep, Vec<f64>), StepError> {
     let n_times = motion.grid.n_steps + 1;
+    if forms.is_empty() {
+        return Ok(AdjointSweep::zeros(motion.rod.n_nodes(), n_times));
+    }
     let task = Task {
         motion,
         trajectory,
         sources: &[],
-        columns,
+        columns: &OneColumn(&ControlSignal::default()),
         forms,
         n_threads,
     };
-    let n_columns = columns.n_columns();
-    if forms.is_empty() {
-        let zeros = AdjointSweep::zeros(motion.rod.n_nodes(), n_times);
-        return Ok((zeros, vec![0.0; n_columns]));
-    }
     let tile = Mutex::new(ReverseTile::of_sum(&task));
     let arch = instructions();
     (task.conveyor(None, 0..n_times, Sense::Backward)).run(
@@ -272,10 +255,11 @@ pub fn adjoint_along(
         },
     )?;
     let tile = tile.into_inner().unwrap_or_else(PoisonError::into_inner);
-    Ok(tile.into_sum(n_columns))
+    Ok(tile.into_sum(0).0)
 }
 
-/// [`adjoint_along`] one form or more, back through a motion of the given [linearized steps](linearized_steps).
+/// [`adjoint`] of one form or more through a motion of the given [linearized steps](linearized_steps), with the values of the sum on the answers
+/// to the columns of a control.
 #[must_use]
 pub fn adjoint_through(
     motion: &Motion,
