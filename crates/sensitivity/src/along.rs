@@ -16,3 +16,15 @@ pub struct Along<'a> {
     /// Time nodes of the stretch. Half a kick is taken at either end of it; the motion before and after it is not read.
     pub stretch: RangeInclusive<usize>,
 }
+
+impl<'a> Along<'a> {
+    /// A motion over its whole grid, without multipliers.
+    pub fn whole(motion: &'a Motion<'a>, trajectory: &'a Trajectory) -> Self {
+        Self {
+            motion,
+            trajectory,
+            multipliers: None,
+            stretch: 0..=motion.grid.n_steps,
+        }
+    }
+}

@@ -268,14 +268,7 @@ pub fn adjoint_through(
     forms: &[StateForm],
     columns: &dyn ControlColumns,
 ) -> (AdjointSweep, Vec<f64>) {
-    let task = Task {
-        motion,
-        trajectory,
-        sources: &[],
-        columns,
-        forms,
-        n_threads: 1,
-    };
+    let task = Task::along(motion, trajectory, columns, forms);
     let arch = instructions();
     let mut tile = ReverseTile::of_sum(&task);
     for (k, step) in steps.iter().enumerate().rev() {
@@ -391,12 +384,7 @@ pub fn linearize_into(
     steps: &mut Vec<LinearizedStep>,
 ) -> Result<(), StepError> {
     steps.resize_with(motion.grid.n_steps + 1, LinearizedStep::default);
-    let along = Along {
-        motion,
-        trajectory,
-        multipliers: None,
-        stretch: 0..=motion.grid.n_steps,
-    };
+    let along = Along::whole(motion, trajectory);
     let arch = instructions();
     Memory::of(arch, motion).linearize(arch, &along, 0, steps)
 }
@@ -584,6 +572,25 @@ struct Task<'a> {
     columns: &'a dyn ControlColumns,
     forms: &'a [StateForm],
     n_threads: usize,
+}
+
+impl<'a> Task<'a> {
+    /// Forms and columns without right-hand sides, on one thread.
+    fn along(
+        motion: &'a Motion<'a>,
+        trajectory: &'a Trajectory,
+        columns: &'a dyn ControlColumns,
+        forms: &'a [StateForm],
+    ) -> Self {
+        Self {
+            motion,
+            trajectory,
+            sources: &[],
+            columns,
+            forms,
+            n_threads: 1,
+        }
+    }
 }
 
 impl Task<'_> {

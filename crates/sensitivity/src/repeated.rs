@@ -35,7 +35,7 @@ impl RepeatedReverse {
         columns: &dyn ControlColumns,
         forms: &[StateForm],
     ) -> Self {
-        let task = task(motion, trajectory, columns, forms);
+        let task = Task::along(motion, trajectory, columns, forms);
         let n_tiles = forms.len().div_ceil(TILE);
         let mut steps = Vec::new();
         steps.resize_with(PIECE, LinearizedStep::default);
@@ -60,13 +60,13 @@ impl RepeatedReverse {
         columns: &dyn ControlColumns,
         forms: &[StateForm],
     ) -> Result<(), StepError> {
-        let task = task(motion, trajectory, columns, forms);
+        let task = Task::along(motion, trajectory, columns, forms);
         let arch = instructions();
         for tile in &mut self.tiles {
             tile.restart(forms);
         }
         let n_times = task.n_times();
-        let along = whole(motion, trajectory);
+        let along = Along::whole(motion, trajectory);
         for piece in (0..n_times.div_ceil(PIECE)).rev() {
             let range = piece * PIECE..n_times.min((piece + 1) * PIECE);
             if let Some(stop) = motion.stop {
@@ -118,7 +118,7 @@ impl RepeatedForward {
             n_inputs,
             inputs: &|_, _| (),
         };
-        let task = task(motion, trajectory, &columns, &[]);
+        let task = Task::along(motion, trajectory, &columns, &[]);
         let mut steps = Vec::new();
         steps.resize_with(PIECE, LinearizedStep::default);
         Self {
@@ -168,10 +168,10 @@ impl RepeatedForward {
             n_inputs: self.n_inputs,
             inputs,
         };
-        let task = task(motion, trajectory, &columns, &[]);
+        let task = Task::along(motion, trajectory, &columns, &[]);
         let arch = instructions();
         let n_times = motion.grid.n_steps + 1;
-        let along = whole(motion, trajectory);
+        let along = Along::whole(motion, trajectory);
         for start in (0..n_times).step_by(PIECE) {
             if let Some(stop) = motion.stop {
                 stop.check_at(start)?;
@@ -198,31 +198,5 @@ impl RepeatedForward {
             };
             tile.write_column(self.first_row, column % TILE, &mut out[..self.size]);
         }
-    }
-}
-
-/// A motion over its whole grid.
-fn whole<'a>(motion: &'a Motion<'a>, trajectory: &'a Trajectory) -> Along<'a> {
-    Along {
-        motion,
-        trajectory,
-        multipliers: None,
-        stretch: 0..=motion.grid.n_steps,
-    }
-}
-
-fn task<'a>(
-    motion: &'a Motion<'a>,
-    trajectory: &'a Trajectory,
-    columns: &'a dyn ControlColumns,
-    forms: &'a [StateForm],
-) -> Task<'a> {
-    Task {
-        motion,
-        trajectory,
-        sources: &[],
-        columns,
-        forms,
-        n_threads: 1,
     }
 }
